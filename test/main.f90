@@ -1,6 +1,8 @@
 !> Every unit and verification test. One line per suite; `fpm @check -- contact` filters.
 program main
+  use test_shape, only: run_test_shape
   use testing, only: finish
   implicit none
+  call run_test_shape()
   call finish()
 end program main

@@ -1,12 +1,389 @@
-!> Shapes in body axes.
+!> Shapes in body axes: what others ask of a target's geometry.
+!>
+!> A shape is one primitive, a union of placed primitives, or a closed triangle mesh.
+!> Nothing here changes after construction, and no procedure keeps anything between
+!> calls: many threads may ask the same shape.
 module castnet_shape
   use castnet_kinds, only: wp
+  use castnet_error, only: error_t, fail, exit_input
+  use castnet_primitive, only: primitive_t, primitive_distance, primitive_volume, primitive_unit_inertia, &
+                               primitive_extent, primitive_support, shape_none, shape_box, shape_cylinder, &
+                               shape_sphere, shape_capsule, shape_compound, shape_mesh
+  use castnet_rotation, only: rotation_matrix, normalise_quaternion, multiply, multiply_transposed, congruent
+  use castnet_surface, only: surface_t, append_surface
+  use castnet_tessellation, only: tessellate_primitive
   implicit none
   private
-  public :: shape_t
+  public :: shape_t, new_shape, new_compound, new_mesh_shape
+  public :: signed_distance, segment_distance
+  public :: shape_bounding_radius, shape_bounds, shape_volume, shape_centroid, unit_inertia, shape_length
+  public :: tessellate, surface_samples
+  public :: shape_none, shape_box, shape_cylinder, shape_sphere, shape_capsule, shape_compound, shape_mesh
 
   type :: shape_t
-    integer :: kind = 0
+    integer :: kind = shape_none
+    real(wp) :: dimensions(3) = 0.0_wp              !! as the scene gives them; 0 for a compound or a mesh [m]
+    type(primitive_t), allocatable :: parts(:)      !! one for a primitive, several for a compound
   end type shape_t
+
+  interface segment_distance
+    module procedure segment_distance_one, segment_distance_many
+  end interface segment_distance
+
+  !> Points handled at a time where a part has axes of its own.
+  integer, parameter :: block = 64
+
+contains
+
+  !> A primitive at the body's origin, long axis along body z.
+  !> Box: edge lengths; cylinder: diameter, length; sphere: diameter; capsule: diameter,
+  !> length between the cap centres. Errors: unknown word, a size that is not positive.
+  subroutine new_shape(shape, word, dimensions, error)
+    type(shape_t), intent(out) :: shape
+    character(len=*), intent(in) :: word       !! 'box', 'cylinder', 'sphere', 'capsule'
+    real(wp), intent(in) :: dimensions(3)      !! [m]; those that the shape does not need are ignored
+    type(error_t), allocatable, intent(inout) :: error
+    allocate (shape%parts(1))
+    call new_primitive(shape%parts(1), word, dimensions, error)
+    if (allocated(error)) return
+    shape%kind = shape%parts(1)%kind
+    shape%dimensions(:dimensions_needed(shape%kind)) = dimensions(:dimensions_needed(shape%kind))
+  end subroutine new_shape
+
+  !> The union of placed primitives. Errors: as `new_shape`, no part, no attitude.
+  subroutine new_compound(shape, words, dimensions, position, attitude, error)
+    type(shape_t), intent(out) :: shape
+    character(len=*), intent(in) :: words(:)     !! (n)
+    real(wp), intent(in) :: dimensions(:, :)     !! (3,n) [m]
+    real(wp), intent(in) :: position(:, :)       !! (3,n) of each part's centre, body axes [m]
+    real(wp), intent(in) :: attitude(:, :)       !! (4,n) part to body, scalar first
+    type(error_t), allocatable, intent(inout) :: error
+    character(len=12) :: number
+    integer :: i
+    if (size(words) == 0) then
+      call fail(error, exit_input, 'shape ''compound'': no part is given; at least one is needed')
+      return
+    end if
+    allocate (shape%parts(size(words)))
+    do i = 1, size(words)
+      call new_primitive(shape%parts(i), words(i), dimensions(:, i), error)
+      if (.not. all(abs(position(:, i)) < huge(1.0_wp)) .or. .not. all(abs(attitude(:, i)) < 1.0e100_wp)) &
+        call fail(error, exit_input, 'position or attitude is not a finite number')
+      if (.not. any(abs(attitude(:, i)) > 0.0_wp)) &
+        call fail(error, exit_input, 'attitude 0 0 0 0 is no rotation; 1 0 0 0 turns nothing')
+      if (allocated(error)) then
+        write (number, '(i0)') i
+        error%message = 'part '//trim(number)//': '//error%message
+        return
+      end if
+      associate (part => shape%parts(i))
+        part%position = position(:, i)
+        part%rotation = rotation_matrix(normalise_quaternion(attitude(:, i)))
+        part%is_placed = .true.
+      end associate
+    end do
+    shape%kind = shape_compound
+  end subroutine new_compound
+
+  !> A closed triangle mesh from an STL or OBJ file [m].
+  subroutine new_mesh_shape(shape, path, error)
+    type(shape_t), intent(out) :: shape
+    character(len=*), intent(in) :: path
+    type(error_t), allocatable, intent(inout) :: error
+    call fail(error, exit_input, 'reading the mesh '//path//': shape ''mesh'' is not available yet')
+  end subroutine new_mesh_shape
+
+  subroutine new_primitive(part, word, dimensions, error)
+    type(primitive_t), intent(out) :: part
+    character(len=*), intent(in) :: word
+    real(wp), intent(in) :: dimensions(3)
+    type(error_t), allocatable, intent(inout) :: error
+    character(len=24) :: value
+    integer :: i
+    select case (word)
+    case ('box')
+      part%kind = shape_box
+      part%half = 0.5_wp*max(-huge(1.0_wp), dimensions)
+    case ('cylinder')
+      part%kind = shape_cylinder
+      part%half = 0.5_wp*[dimensions(1), dimensions(1), dimensions(2)]
+    case ('sphere')
+      part%kind = shape_sphere
+      part%half = [0.5_wp*dimensions(1), 0.5_wp*dimensions(1), 0.0_wp]
+    case ('capsule')
+      part%kind = shape_capsule
+      part%half = 0.5_wp*[dimensions(1), dimensions(1), dimensions(2)]
+    case default
+      call fail(error, exit_input, 'shape '''//trim(word)//''' is unknown; allowed: box, cylinder, sphere, capsule')
+      return
+    end select
+    do i = 1, dimensions_needed(part%kind)
+      if (dimensions(i) > 0.0_wp .and. dimensions(i) < 1.0e9_wp) cycle
+      write (value, '(es12.4)') dimensions(i)
+      call fail(error, exit_input, 'shape '''//trim(word)//''': dimension '//char(ichar('0') + i)//' is'// &
+                trim(value)//' m; it must be larger than 0 and below 1e9')
+      return
+    end do
+  end subroutine new_primitive
+
+  pure integer function dimensions_needed(kind) result(count)
+    integer, intent(in) :: kind
+    select case (kind)
+    case (shape_box)
+      count = 3
+    case (shape_cylinder, shape_capsule)
+      count = 2
+    case (shape_sphere)
+      count = 1
+    case default
+      count = 0
+    end select
+  end function dimensions_needed
+
+  !> Signed distance (negative inside) and outward unit normal, its gradient, of many
+  !> points in body axes. Exact for primitives; outside of a compound the least of the
+  !> parts' distances.
+  pure subroutine signed_distance(shape, n, point, distance, normal)
+    type(shape_t), intent(in) :: shape
+    integer, intent(in) :: n
+    real(wp), intent(in) :: point(3, n)                !! body axes [m]
+    real(wp), intent(out) :: distance(n), normal(3, n) !! [m], [-]
+    if (shape%kind == shape_compound) then
+      call compound_distance(shape%parts, n, point, distance, normal)
+    else
+      call primitive_distance(shape%kind, shape%parts(1)%half, n, point, distance, normal)
+    end if
+  end subroutine signed_distance
+
+  pure subroutine compound_distance(parts, n, point, distance, normal)
+    type(primitive_t), intent(in) :: parts(:)
+    integer, intent(in) :: n
+    real(wp), intent(in) :: point(3, n)
+    real(wp), intent(out) :: distance(n), normal(3, n)
+    real(wp) :: local(3, block), d(block), g(3, block)
+    integer :: start, count, i, k
+    do start = 1, n, block
+      count = min(block, n - start + 1)
+      do k = 1, size(parts)
+        call to_part(parts(k), count, point(:, start:start + count - 1), local)
+        call primitive_distance(parts(k)%kind, parts(k)%half, count, local, d, g)
+        do i = 1, count
+          if (k > 1) then
+            if (d(i) >= distance(start + i - 1)) cycle
+          end if
+          distance(start + i - 1) = d(i)
+          normal(:, start + i - 1) = multiply(parts(k)%rotation, g(:, i))
+        end do
+      end do
+    end do
+  end subroutine compound_distance
+
+  !> Body axes to a part's own.
+  pure subroutine to_part(part, n, point, local)
+    type(primitive_t), intent(in) :: part
+    integer, intent(in) :: n
+    real(wp), intent(in) :: point(3, n)
+    real(wp), intent(out) :: local(3, n)
+    real(wp) :: x, y, z
+    integer :: i
+    do i = 1, n
+      x = point(1, i) - part%position(1)
+      y = point(2, i) - part%position(2)
+      z = point(3, i) - part%position(3)
+      local(1, i) = part%rotation(1, 1)*x + part%rotation(2, 1)*y + part%rotation(3, 1)*z
+      local(2, i) = part%rotation(1, 2)*x + part%rotation(2, 2)*y + part%rotation(3, 2)*z
+      local(3, i) = part%rotation(1, 3)*x + part%rotation(2, 3)*y + part%rotation(3, 3)*z
+    end do
+  end subroutine to_part
+
+  !> The point a + (b - a) fraction of a segment that is nearest to, or deepest in, the shape.
+  pure subroutine segment_distance_one(shape, a, b, fraction, distance, normal)
+    type(shape_t), intent(in) :: shape
+    real(wp), intent(in) :: a(3), b(3)            !! ends, body axes [m]
+    real(wp), intent(out) :: fraction, distance   !! 0 to 1 [-], [m]
+    real(wp), intent(out) :: normal(3)
+    real(wp) :: low, high, t(2), p(3, 2), d(2), g(3, 2)
+    integer :: i
+    low = 0.0_wp
+    high = 1.0_wp
+    do i = 1, 100
+      t = [low + (high - low)/3.0_wp, high - (high - low)/3.0_wp]
+      p(:, 1) = a + (b - a)*t(1)
+      p(:, 2) = a + (b - a)*t(2)
+      call signed_distance(shape, 2, p, d, g)
+      if (d(1) <= d(2)) high = t(2)
+      if (d(2) <= d(1)) low = t(1)
+    end do
+    fraction = 0.5_wp*(low + high)
+    p(:, 1) = a + (b - a)*fraction
+    call signed_distance(shape, 1, p, d, g)
+    distance = d(1)
+    normal = g(:, 1)
+  end subroutine segment_distance_one
+
+  !> The same for many segments.
+  pure subroutine segment_distance_many(shape, n, a, b, fraction, distance, normal)
+    type(shape_t), intent(in) :: shape
+    integer, intent(in) :: n
+    real(wp), intent(in) :: a(3, n), b(3, n)
+    real(wp), intent(out) :: fraction(n), distance(n), normal(3, n)
+    integer :: i
+    do i = 1, n
+      call segment_distance_one(shape, a(:, i), b(:, i), fraction(i), distance(i), normal(:, i))
+    end do
+  end subroutine segment_distance_many
+
+  !> Radius of a ball about the body's origin that holds the shape [m].
+  pure real(wp) function shape_bounding_radius(shape) result(radius)
+    type(shape_t), intent(in) :: shape
+    real(wp) :: reach
+    integer :: k
+    radius = 0.0_wp
+    do k = 1, size(shape%parts)
+      associate (part => shape%parts(k))
+        select case (part%kind)
+        case (shape_box)
+          reach = sqrt(part%half(1)**2 + part%half(2)**2 + part%half(3)**2)
+        case (shape_cylinder)
+          reach = sqrt(part%half(1)**2 + part%half(3)**2)
+        case default
+          reach = part%half(1) + part%half(3)
+        end select
+        radius = max(radius, reach + sqrt(part%position(1)**2 + part%position(2)**2 + part%position(3)**2))
+      end associate
+    end do
+  end function shape_bounding_radius
+
+  !> Axis-parallel box in body axes that holds the shape, tight for primitives and compounds [m].
+  pure subroutine shape_bounds(shape, lower, upper)
+    type(shape_t), intent(in) :: shape
+    real(wp), intent(out) :: lower(3), upper(3)
+    real(wp) :: direction(3), reach
+    integer :: k, axis
+    lower = huge(1.0_wp)
+    upper = -huge(1.0_wp)
+    do k = 1, size(shape%parts)
+      associate (part => shape%parts(k))
+        do axis = 1, 3
+          direction = part%rotation(axis, :)
+          reach = sum(direction*primitive_support(part%kind, part%half, direction))
+          lower(axis) = min(lower(axis), part%position(axis) - reach)
+          upper(axis) = max(upper(axis), part%position(axis) + reach)
+        end do
+      end associate
+    end do
+  end subroutine shape_bounds
+
+  !> Volume [m3]; parts of a compound are taken not to overlap.
+  pure real(wp) function shape_volume(shape) result(volume)
+    type(shape_t), intent(in) :: shape
+    integer :: k
+    volume = 0.0_wp
+    do k = 1, size(shape%parts)
+      volume = volume + primitive_volume(shape%parts(k)%kind, shape%parts(k)%half)
+    end do
+  end function shape_volume
+
+  !> Centroid of the uniform solid, body axes [m]; parts of a compound are taken not to overlap.
+  pure function shape_centroid(shape) result(centroid)
+    type(shape_t), intent(in) :: shape
+    real(wp) :: centroid(3), share
+    integer :: k
+    centroid = 0.0_wp
+    do k = 1, size(shape%parts)
+      share = primitive_volume(shape%parts(k)%kind, shape%parts(k)%half)
+      centroid = centroid + share*shape%parts(k)%position
+    end do
+    centroid = centroid/shape_volume(shape)
+  end function shape_centroid
+
+  !> Inertia tensor of the uniform solid per unit mass [m2], body axes, about its centroid
+  !> (not about the body's origin); parts of a compound are taken not to overlap.
+  pure function unit_inertia(shape) result(inertia)
+    type(shape_t), intent(in) :: shape
+    real(wp) :: inertia(3, 3), own(3), diagonal(3, 3), arm(3), centroid(3), share, total
+    integer :: i, j, k
+    inertia = 0.0_wp
+    total = shape_volume(shape)
+    centroid = shape_centroid(shape)
+    do k = 1, size(shape%parts)
+      associate (part => shape%parts(k))
+        share = primitive_volume(part%kind, part%half)/total
+        own = primitive_unit_inertia(part%kind, part%half)
+        arm = part%position - centroid
+        diagonal = 0.0_wp
+        do i = 1, 3
+          diagonal(i, i) = own(i)
+        end do
+        inertia = inertia + share*congruent(part%rotation, diagonal)
+        do i = 1, 3
+          inertia(i, i) = inertia(i, i) + share*(arm(1)**2 + arm(2)**2 + arm(3)**2)
+          do j = 1, 3
+            inertia(i, j) = inertia(i, j) - share*arm(i)*arm(j)
+          end do
+        end do
+      end associate
+    end do
+  end function unit_inertia
+
+  !> The largest extent along a body axis [m].
+  pure real(wp) function shape_length(shape) result(length)
+    type(shape_t), intent(in) :: shape
+    real(wp) :: lower(3), upper(3)
+    call shape_bounds(shape, lower, upper)
+    length = maxval(upper - lower)
+  end function shape_length
+
+  !> Closed triangle surface for a picture, outward; a compound gives each part's.
+  pure subroutine tessellate(shape, surface)
+    type(shape_t), intent(in) :: shape
+    type(surface_t), intent(out) :: surface
+    type(surface_t) :: piece
+    integer :: i, k
+    do k = 1, size(shape%parts)
+      call tessellate_primitive(shape%parts(k)%kind, shape%parts(k)%half, piece)
+      do i = 1, size(piece%vertex, 2)
+        piece%vertex(:, i) = shape%parts(k)%position + multiply(shape%parts(k)%rotation, piece%vertex(:, i))
+      end do
+      call append_surface(surface, piece)
+    end do
+  end subroutine tessellate
+
+  !> Up to `most` points on the convex hull, corners first of all: the farthest points along
+  !> evenly spread directions, none twice. A box gives its eight corners.
+  pure subroutine surface_samples(shape, most, point)
+    type(shape_t), intent(in) :: shape
+    integer, intent(in) :: most
+    real(wp), allocatable, intent(out) :: point(:, :)  !! (3,count) body axes [m]
+    real(wp), parameter :: golden = 2.39996322972865332_wp  ! angle of the sunflower [rad]
+    real(wp) :: found(3, most), direction(3), candidate(3), best(3), reach, far, z, near
+    integer :: i, k, count
+    near = 1.0e-6_wp*shape_length(shape)
+    count = 0
+    do i = 1, most
+      z = 1.0_wp - (2.0_wp*real(i, wp) - 1.0_wp)/real(most, wp)
+      direction = [sqrt(1.0_wp - z*z)*cos(golden*i), sqrt(1.0_wp - z*z)*sin(golden*i), z]
+      far = -huge(1.0_wp)
+      best = 0.0_wp
+      do k = 1, size(shape%parts)
+        associate (part => shape%parts(k))
+          candidate = part%position + multiply(part%rotation, &
+                      primitive_support(part%kind, part%half, multiply_transposed(part%rotation, direction)))
+        end associate
+        reach = sum(direction*candidate)
+        if (reach > far) then
+          far = reach
+          best = candidate
+        end if
+      end do
+      do k = 1, count
+        if (maxval(abs(found(:, k) - best)) < near) exit
+      end do
+      if (k <= count) cycle
+      count = count + 1
+      found(:, count) = best
+    end do
+    point = found(:, :count)
+  end subroutine surface_samples
 
 end module castnet_shape
