@@ -1,0 +1,114 @@
+#!/usr/bin/env bash
+# Installs what castnet needs and is missing: system packages (apt), and fpm and the
+# Python packages in a private environment, .venv. Sourced by capture_cubesat.sh and
+# test.sh; may be run by itself, any number of times.
+#
+# Afterwards: $castnet_root, $castnet_python, fpm on PATH, build_castnet.
+#
+#   CASTNET_VENV=DIR   another place for the private environment
+
+castnet_root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+castnet_venv=${CASTNET_VENV:-$castnet_root/.venv}
+castnet_python=$castnet_venv/bin/python
+castnet_packages="gfortran gcc libhdf5-dev libopenblas-dev pkg-config python3-venv git ca-certificates"
+
+# One thread in BLAS: castnet threads over its own work.
+export OPENBLAS_NUM_THREADS=1
+export LC_ALL=C.UTF-8
+
+lacking() {
+  printf '\n%s\n' "castnet: $*" >&2
+  exit 1
+}
+
+# The Debian packages of the list that are not installed.
+missing_packages() {
+  local package
+  for package in $castnet_packages; do
+    # An installed package, or another one that provides it (pkgconf for pkg-config).
+    [ "$(dpkg-query -W -f='${db:Status-Status}\n' "$package" 2>/dev/null | head -1)" = installed ] || printf '%s ' "$package"
+  done
+}
+
+install_system_packages() {
+  if ! command -v dpkg-query >/dev/null; then
+    local tool
+    for tool in gfortran gcc pkg-config python3 git; do
+      command -v $tool >/dev/null || lacking "this is not Debian or Ubuntu, and '$tool' is missing." \
+        "Install gfortran, gcc, HDF5 with its Fortran interface, OpenBLAS, pkg-config, git and Python 3.11 with venv, then run this again."
+    done
+    return 0
+  fi
+  local missing sudo=
+  missing=$(missing_packages)
+  missing=${missing% }
+  [ -z "$missing" ] && return 0
+  if [ "$(id -u)" -ne 0 ]; then
+    # Without a terminal sudo must not ask for a password.
+    if command -v sudo >/dev/null && { [ -t 0 ] || sudo -n true 2>/dev/null; }; then
+      sudo=sudo
+    else
+      lacking "these packages are missing and this user may not install them: $missing." \
+        "Ask an administrator to run: apt-get install -y $missing"
+    fi
+  fi
+  echo "castnet: installing $missing"
+  local log
+  log=$(mktemp)
+  { $sudo env DEBIAN_FRONTEND=noninteractive apt-get update -qq &&
+    $sudo env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $missing
+  } </dev/null >"$log" 2>&1 || {
+    tail -5 "$log" >&2
+    rm -f "$log"
+    lacking "apt-get could not install: $missing. Is there a network? The command was: apt-get install -y $missing"
+  }
+  rm -f "$log"
+}
+
+install_python_packages() {
+  local wanted="$castnet_root/tools/requirements.txt" stamp="$castnet_venv/castnet_requirements.txt"
+  if [ -x "$castnet_python" ] && cmp -s "$wanted" "$stamp"; then return 0; fi
+  if [ ! -x "$castnet_python" ] || ! "$castnet_python" -m pip --version >/dev/null 2>&1; then
+    python3 -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
+      lacking "Python 3.11 or newer is needed, this is $(python3 --version 2>&1)."
+    python3 -m venv --clear "$castnet_venv" ||
+      lacking "could not make the private Python environment $castnet_venv. The command was: python3 -m venv $castnet_venv"
+  fi
+  echo "castnet: installing fpm and Python packages into $castnet_venv (a few minutes the first time)"
+  "$castnet_python" -m pip install --quiet --disable-pip-version-check --no-input -r "$wanted" </dev/null ||
+    lacking "pip could not install the Python packages. Is there a network? The command was:" \
+      "$castnet_python -m pip install -r tools/requirements.txt"
+  cp "$wanted" "$stamp"
+}
+
+# The flags of the release build stand in fpm.rsp, once; the commit is added here, so
+# that `castnet version` and every result can name it. A plain `fpm @release` also builds.
+release_flags() {
+  local flags commit
+  flags=$(sed -n '/^@release$/,/^@release-test$/s/.*--flag "\(.*\)"$/\1/p' "$castnet_root/fpm.rsp" | head -1)
+  commit=$(git -C "$castnet_root" describe --always --dirty --abbrev=12 2>/dev/null || true)
+  printf '%s' "$flags${commit:+ -DCASTNET_COMMIT=$commit}"
+}
+
+# Build the release, set $castnet to the program.
+build_castnet() {
+  echo "castnet: building the release"
+  local flags log
+  flags=$(release_flags)
+  log=$(mktemp)
+  (cd "$castnet_root" && fpm build --profile release --flag "$flags") >"$log" 2>&1 </dev/null || {
+    tail -40 "$log" >&2
+    rm -f "$log"
+    lacking "the release build failed; the compiler's words stand above."
+  }
+  rm -f "$log"
+  castnet=$(cd "$castnet_root" && fpm run castnet --profile release --flag "$flags" --runner echo 2>/dev/null </dev/null |
+    grep -E '/castnet$' | tail -1)
+  case $castnet in /*) ;; *) castnet=$castnet_root/$castnet ;; esac
+  [ -x "$castnet" ] || lacking "the build finished, but the program is not where fpm says: $castnet"
+}
+
+install_system_packages
+install_python_packages
+PATH=$castnet_venv/bin:$PATH
+export PATH

@@ -1,0 +1,63 @@
+#!/usr/bin/env bash
+# From a clean clone to every test: installs what is missing, builds, runs the Fortran
+# tests in the check build (everything trapped) and in the release build, then every
+# system test on the release. The last line is 'N passed, N failed'; the exit code is
+# not zero if anything failed. Can be run again without harm.
+#
+#   tools/test.sh [FILTER]     only Fortran cases whose name contains FILTER, no system tests
+set -uo pipefail
+. "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
+cd "$castnet_root" || exit 1
+
+filter=${1:-}
+passed=0
+failed=0
+log=$(mktemp)
+
+# Whatever happens, the sum is the last line; an end before the end is a failure.
+finished=
+finish() {
+  rm -f "$log"
+  [ -n "$finished" ] || failed=$((failed + 1))
+  printf '\n%d passed, %d failed\n' $passed $failed
+  [ $failed -eq 0 ] && [ $passed -gt 0 ]
+  exit $?
+}
+trap finish EXIT
+
+# Run one group of tests and add its last line to the sum. A group that ends without
+# that line, or ends badly without owning up to a failure, counts as one failure.
+run_group() {
+  local name=$1 status line seconds=$SECONDS
+  shift
+  printf '\n== %s\n' "$name"
+  "$@" </dev/null >"$log" 2>&1
+  status=$?
+  cat "$log"
+  line=$(grep -Eo '^[0-9]+ passed, [0-9]+ failed$' "$log" | tail -1)
+  if [ -z "$line" ]; then
+    echo "$name: ended with exit code $status and without its counts"
+    failed=$((failed + 1))
+  else
+    passed=$((passed + ${line%% *}))
+    line=${line#*, }
+    if [ "${line%% *}" -eq 0 ] && [ $status -ne 0 ]; then
+      echo "$name: exit code $status although no test failed"
+      failed=$((failed + 1))
+    else
+      failed=$((failed + ${line%% *}))
+    fi
+  fi
+  echo "== $name: $((SECONDS - seconds)) s"
+}
+
+run_group "Fortran tests, check build" fpm @check ${filter:+-- "$filter"}
+run_group "Fortran tests, release build" \
+  fpm test --profile release --flag "$(release_flags)" ${filter:+-- "$filter"}
+if [ -z "$filter" ]; then
+  build_castnet
+  for script in test/system/*.py; do
+    run_group "$script" "$castnet_python" "$script" "$castnet"
+  done
+fi
+finished=yes
