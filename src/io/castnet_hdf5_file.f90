@@ -1,0 +1,611 @@
+!> Thin verbs over HDF5, for everything that castnet writes or reads in that format.
+!>
+!> Files keep the default format bound, because only they can be opened after a kill.
+!> Shapes are Fortran's in the arguments (first index fastest), so Python sees them
+!> reversed. HDF5 is not thread-safe here: one thread at a time may be in this module.
+!>
+!> A call that fails marks its file broken, and nothing more is asked of HDF5 for it: the
+!> library's own clean-up after a full disk may write, loop or abort. For the same reason
+!> its clean-up at exit is switched off; a file is complete when `close_file` says so, and
+!> otherwise stays as its last flush left it.
+module castnet_hdf5_file
+  use, intrinsic :: iso_c_binding, only: c_loc, c_ptr, c_null_char
+  use hdf5, only: hid_t, hsize_t, size_t, h5open_f, h5dont_atexit_f, h5eset_auto_f, h5fcreate_f, h5fopen_f, h5fclose_f, &
+                  h5fflush_f, h5fget_filesize_f, h5fis_hdf5_f, h5gcreate_f, h5gopen_f, h5gclose_f, h5screate_simple_f, &
+                  h5screate_f, h5sclose_f, h5dcreate_f, h5dopen_f, h5dclose_f, h5dwrite_f, h5acreate_f, h5awrite_f, &
+                  h5aclose_f, h5aopen_f, h5aexists_f, h5tcopy_f, h5tclose_f, h5tset_size_f, h5tset_cset_f, &
+                  h5tset_strpad_f, h5ldelete_f, h5lexists_f, h5t_string, h5t_fortran_s1, h5t_cset_utf8_f, &
+                  h5t_str_nullpad_f, h5t_native_double, h5t_native_real, h5t_native_integer, h5t_std_i32le, &
+                  h5t_std_i64le, h5t_ieee_f64le, h5t_ieee_f32le, h5f_acc_trunc_f, h5f_acc_rdonly_f, h5f_acc_rdwr_f, &
+                  h5f_scope_local_f, h5s_scalar_f, h5kind_to_type, h5_integer_kind
+  use h5ds, only: h5dsset_scale_f, h5dsattach_scale_f
+  use castnet_kinds, only: wp, sp, i4, i8
+  use castnet_error, only: error_t, fail, exit_file
+  use castnet_posix, only: clear_system_error, system_error, system_words, is_disk_full, default_environment
+  implicit none
+  private
+  public :: hdf5_file_t, location_t, check, joined
+  public :: start_hdf5, create_hdf5, open_hdf5, flush_file, close_file, file_bytes, is_hdf5
+  public :: make_group, open_group, close_group, delete_entry, has_entry
+  public :: write_text, write_value, write_array, set_attribute, set_fixed_text, make_scale, attach_scales
+  public :: kind_double, kind_single, kind_integer, kind_long, memory_type, file_type, value_bytes
+
+  integer, parameter :: kind_double = 1, kind_single = 2, kind_integer = 3, kind_long = 4
+
+  !> A place in a file: the file itself or a group.
+  type :: location_t
+    integer(hid_t) :: id = -1
+    character(len=:), allocatable :: name       !! for messages
+  end type location_t
+
+  type :: hdf5_file_t
+    type(location_t) :: root
+    character(len=:), allocatable :: path
+    logical :: is_open = .false.
+    logical :: broken = .false.                 !! a call has failed
+  end type hdf5_file_t
+
+  !> A number by its kind; of rank 0.
+  interface write_value
+    module procedure write_double, write_integer, write_long
+  end interface write_value
+
+  !> A whole array of fixed size.
+  interface write_array
+    module procedure write_doubles_1, write_doubles_2, write_singles_2, write_integers_1, write_integers_2, write_longs_1, &
+      write_texts
+  end interface write_array
+
+  !> An attribute of a dataset or group, new or of the same kind and shape as before.
+  interface set_attribute
+    module procedure set_text, set_double, set_long, set_longs, set_text_of
+  end interface set_attribute
+
+contains
+
+  !> Start the library once; later calls cost one comparison. Its own printing of errors
+  !> and its work at exit are switched off. File locks of HDF5 are off unless the user has
+  !> set HDF5_USE_FILE_LOCKING: our own lock keeps two writers apart, and a reader may then
+  !> look into a run that is going on.
+  subroutine start_hdf5()
+    integer :: status
+    if (h5t_native_double > 0) return
+    call default_environment('HDF5_USE_FILE_LOCKING', 'FALSE')
+    call h5dont_atexit_f(status)
+    call h5open_f(status)
+    call h5eset_auto_f(0, status)
+  end subroutine start_hdf5
+
+  !> Turn a failed call into an error_t, with the system's reason when it has one.
+  subroutine check(file, status, doing, name, error)
+    type(hdf5_file_t), intent(inout) :: file
+    integer, intent(in) :: status                   !! of the HDF5 call, negative: failed
+    character(len=*), intent(in) :: doing, name     !! 'write', the dataset
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: number
+    character(len=:), allocatable :: text
+    if (status >= 0) return
+    number = system_error()
+    file%broken = .true.
+    text = "cannot "//doing
+    if (len(name) > 0) text = text//" '"//name//"'"
+    text = text//" in '"//file%path//"'"
+    if (number /= 0) text = text//': '//system_words(number)
+    if (is_disk_full(number)) then
+      text = text//'; free disk space or choose another folder with --output'
+    else
+      text = text//'; check that the disk is there, writable and not full'
+    end if
+    call fail(error, exit_file, text)
+  end subroutine check
+
+  ! ---- files and groups ---------------------------------------------------------
+
+  !> Create a file, replacing one of the same name.
+  subroutine create_hdf5(file, path, error)
+    type(hdf5_file_t), intent(out) :: file
+    character(len=*), intent(in) :: path
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: status
+    call begin_file(file, path)
+    call h5fcreate_f(path, h5f_acc_trunc_f, file%root%id, status)
+    call check(file, status, 'create the file', '', error)
+    file%is_open = status >= 0
+  end subroutine create_hdf5
+
+  !> Open a file that is there, to read or to go on writing.
+  subroutine open_hdf5(file, path, writable, error)
+    type(hdf5_file_t), intent(out) :: file
+    character(len=*), intent(in) :: path
+    logical, intent(in) :: writable
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: status
+    call begin_file(file, path)
+    call h5fopen_f(path, merge(h5f_acc_rdwr_f, h5f_acc_rdonly_f, writable), file%root%id, status)
+    call check(file, status, 'open the file', '', error)
+    file%is_open = status >= 0
+  end subroutine open_hdf5
+
+  subroutine begin_file(file, path)
+    type(hdf5_file_t), intent(inout) :: file
+    character(len=*), intent(in) :: path
+    call start_hdf5()
+    call clear_system_error()
+    file%path = path
+    file%root%name = '/'
+  end subroutine begin_file
+
+  !> Is this an HDF5 file?
+  logical function is_hdf5(path)
+    character(len=*), intent(in) :: path
+    integer :: status
+    call start_hdf5()
+    call h5fis_hdf5_f(path, is_hdf5, status)
+    if (status < 0) is_hdf5 = .false.
+  end function is_hdf5
+
+  !> Everything written so far goes to the operating system: from here on a kill cannot
+  !> take it away.
+  subroutine flush_file(file, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: status
+    if (file%broken .or. .not. file%is_open) return
+    call clear_system_error()
+    call h5fflush_f(file%root%id, h5f_scope_local_f, status)
+    call check(file, status, 'flush', '', error)
+  end subroutine flush_file
+
+  !> Close a file. A broken one is left to the operating system.
+  subroutine close_file(file, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: status
+    if (.not. file%is_open) return
+    file%is_open = .false.
+    if (file%broken) return
+    call clear_system_error()
+    call h5fclose_f(file%root%id, status)
+    call check(file, status, 'close the file', '', error)
+  end subroutine close_file
+
+  !> Bytes of the file as HDF5 sees it, what is not yet flushed included.
+  integer(i8) function file_bytes(file)
+    type(hdf5_file_t), intent(in) :: file
+    integer(hsize_t) :: bytes
+    integer :: status
+    call h5fget_filesize_f(file%root%id, bytes, status)
+    file_bytes = merge(int(bytes, i8), 0_i8, status >= 0)
+  end function file_bytes
+
+  subroutine make_group(file, parent, name, group, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name
+    type(location_t), intent(out) :: group
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: status
+    if (file%broken) return
+    group%name = joined(parent, name)
+    call h5gcreate_f(parent%id, name, group%id, status)
+    call check(file, status, 'create the group', group%name, error)
+  end subroutine make_group
+
+  subroutine open_group(file, parent, name, group, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name
+    type(location_t), intent(out) :: group
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: status
+    if (file%broken) return
+    group%name = joined(parent, name)
+    call h5gopen_f(parent%id, name, group%id, status)
+    call check(file, status, 'open the group', group%name, error)
+  end subroutine open_group
+
+  subroutine close_group(file, group)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(inout) :: group
+    integer :: status
+    if (file%broken .or. group%id < 0) return
+    call h5gclose_f(group%id, status)
+    group%id = -1
+  end subroutine close_group
+
+  !> Remove a dataset or a group with all it holds.
+  subroutine delete_entry(file, parent, name, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: status
+    if (file%broken) return
+    call h5ldelete_f(parent%id, name, status)
+    call check(file, status, 'remove', joined(parent, name), error)
+  end subroutine delete_entry
+
+  !> Is there a dataset or group of this name right here?
+  logical function has_entry(parent, name)
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name
+    integer :: status
+    call h5lexists_f(parent%id, name, has_entry, status)
+    if (status < 0) has_entry = .false.
+  end function has_entry
+
+  pure function joined(parent, name) result(path)
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name
+    character(len=:), allocatable :: path
+    if (parent%name == '/') then
+      path = '/'//name
+    else
+      path = parent%name//'/'//name
+    end if
+  end function joined
+
+  ! ---- datasets of fixed size -----------------------------------------------------
+
+  integer(hid_t) function memory_type(kind)
+    integer, intent(in) :: kind
+    select case (kind)
+    case (kind_double)
+      memory_type = h5t_native_double
+    case (kind_single)
+      memory_type = h5t_native_real
+    case (kind_integer)
+      memory_type = h5t_native_integer
+    case default
+      memory_type = h5kind_to_type(i8, h5_integer_kind)
+    end select
+  end function memory_type
+
+  integer(hid_t) function file_type(kind)
+    integer, intent(in) :: kind
+    select case (kind)
+    case (kind_double)
+      file_type = h5t_ieee_f64le
+    case (kind_single)
+      file_type = h5t_ieee_f32le
+    case (kind_integer)
+      file_type = h5t_std_i32le
+    case default
+      file_type = h5t_std_i64le
+    end select
+  end function file_type
+
+  pure integer(i8) function value_bytes(kind)
+    integer, intent(in) :: kind
+    value_bytes = merge(8_i8, 4_i8, kind == kind_double .or. kind == kind_long)
+  end function value_bytes
+
+  !> Create a dataset of these types, write one buffer, set its units, close it.
+  subroutine put(file, parent, name, memory, stored, shape, buffer, units, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name
+    integer(hid_t), intent(in) :: memory, stored
+    integer(hsize_t), intent(in) :: shape(:)          !! empty for a scalar
+    type(c_ptr), intent(in) :: buffer
+    character(len=*), intent(in), optional :: units
+    type(error_t), allocatable, intent(inout) :: error
+    integer(hid_t) :: space, dataset
+    integer :: status, ignored
+    if (file%broken) return
+    call clear_system_error()
+    if (size(shape) == 0) then
+      call h5screate_f(h5s_scalar_f, space, status)
+    else
+      call h5screate_simple_f(size(shape), shape, space, status)
+    end if
+    if (status >= 0) call h5dcreate_f(parent%id, name, stored, space, dataset, status)
+    call check(file, status, 'create', joined(parent, name), error)
+    if (status < 0) return
+    call h5dwrite_f(dataset, memory, buffer, status)
+    call check(file, status, 'write', joined(parent, name), error)
+    if (present(units)) call set_text(file, dataset, 'units', units, error)
+    if (file%broken) return
+    call h5dclose_f(dataset, ignored)
+    call h5sclose_f(space, ignored)
+  end subroutine put
+
+  !> A text of any length (attributes end at 64 KB, datasets do not), UTF-8.
+  subroutine write_text(file, parent, name, text, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name, text
+    type(error_t), allocatable, intent(inout) :: error
+    character(len=:), allocatable, target :: buffer
+    type(c_ptr), target :: pointer_to_text
+    integer(hid_t) :: text_type
+    if (file%broken) return
+    buffer = text//c_null_char
+    pointer_to_text = c_loc(buffer)
+    text_type = new_text_type()
+    call put(file, parent, name, text_type, text_type, [integer(hsize_t) ::], c_loc(pointer_to_text), error=error)
+    call free_type(text_type)
+  end subroutine write_text
+
+  !> Type of a text of variable length.
+  integer(hid_t) function new_text_type()
+    integer :: status
+    call h5tcopy_f(h5t_string, new_text_type, status)
+    call h5tset_cset_f(new_text_type, h5t_cset_utf8_f, status)
+  end function new_text_type
+
+  subroutine free_type(id)
+    integer(hid_t), intent(in) :: id
+    integer :: status
+    call h5tclose_f(id, status)
+  end subroutine free_type
+
+  !> Short texts as a one-dimensional dataset; trailing blanks are dropped.
+  subroutine write_texts(file, parent, name, texts, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name
+    character(len=*), intent(in) :: texts(:)
+    type(error_t), allocatable, intent(inout) :: error
+    character(len=len(texts) + 1), allocatable, target :: buffer(:)
+    type(c_ptr), allocatable, target :: pointers(:)
+    integer(hid_t) :: text_type
+    integer :: i
+    if (file%broken) return
+    allocate (buffer(size(texts)), pointers(size(texts)))
+    do i = 1, size(texts)
+      buffer(i) = trim(texts(i))//c_null_char
+      pointers(i) = c_loc(buffer(i))
+    end do
+    text_type = new_text_type()
+    call put(file, parent, name, text_type, text_type, [size(texts, kind=hsize_t)], c_loc(pointers), error=error)
+    call free_type(text_type)
+  end subroutine write_texts
+
+  subroutine write_double(file, parent, name, value, units, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name, units
+    real(wp), intent(in), target :: value
+    type(error_t), allocatable, intent(inout) :: error
+    call put(file, parent, name, memory_type(kind_double), file_type(kind_double), [integer(hsize_t) ::], c_loc(value), &
+             units, error)
+  end subroutine write_double
+
+  subroutine write_integer(file, parent, name, value, units, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name, units
+    integer(i4), intent(in), target :: value
+    type(error_t), allocatable, intent(inout) :: error
+    call put(file, parent, name, memory_type(kind_integer), file_type(kind_integer), [integer(hsize_t) ::], c_loc(value), &
+             units, error)
+  end subroutine write_integer
+
+  subroutine write_long(file, parent, name, value, units, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name, units
+    integer(i8), intent(in), target :: value
+    type(error_t), allocatable, intent(inout) :: error
+    call put(file, parent, name, memory_type(kind_long), file_type(kind_long), [integer(hsize_t) ::], c_loc(value), &
+             units, error)
+  end subroutine write_long
+
+  subroutine write_doubles_1(file, parent, name, values, units, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name, units
+    real(wp), intent(in), target, contiguous :: values(:)
+    type(error_t), allocatable, intent(inout) :: error
+    call put(file, parent, name, memory_type(kind_double), file_type(kind_double), shape(values, kind=hsize_t), &
+             c_loc(values), units, error)
+  end subroutine write_doubles_1
+
+  subroutine write_doubles_2(file, parent, name, values, units, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name, units
+    real(wp), intent(in), target, contiguous :: values(:, :)
+    type(error_t), allocatable, intent(inout) :: error
+    call put(file, parent, name, memory_type(kind_double), file_type(kind_double), shape(values, kind=hsize_t), &
+             c_loc(values), units, error)
+  end subroutine write_doubles_2
+
+  subroutine write_singles_2(file, parent, name, values, units, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name, units
+    real(sp), intent(in), target, contiguous :: values(:, :)
+    type(error_t), allocatable, intent(inout) :: error
+    call put(file, parent, name, memory_type(kind_single), file_type(kind_single), shape(values, kind=hsize_t), &
+             c_loc(values), units, error)
+  end subroutine write_singles_2
+
+  subroutine write_integers_1(file, parent, name, values, units, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name, units
+    integer(i4), intent(in), target, contiguous :: values(:)
+    type(error_t), allocatable, intent(inout) :: error
+    call put(file, parent, name, memory_type(kind_integer), file_type(kind_integer), shape(values, kind=hsize_t), &
+             c_loc(values), units, error)
+  end subroutine write_integers_1
+
+  subroutine write_integers_2(file, parent, name, values, units, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name, units
+    integer(i4), intent(in), target, contiguous :: values(:, :)
+    type(error_t), allocatable, intent(inout) :: error
+    call put(file, parent, name, memory_type(kind_integer), file_type(kind_integer), shape(values, kind=hsize_t), &
+             c_loc(values), units, error)
+  end subroutine write_integers_2
+
+  subroutine write_longs_1(file, parent, name, values, units, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name, units
+    integer(i8), intent(in), target, contiguous :: values(:)
+    type(error_t), allocatable, intent(inout) :: error
+    call put(file, parent, name, memory_type(kind_long), file_type(kind_long), shape(values, kind=hsize_t), &
+             c_loc(values), units, error)
+  end subroutine write_longs_1
+
+  ! ---- attributes and dimension scales --------------------------------------------
+
+  !> Write one buffer to an attribute, which is created or else has this type and shape.
+  subroutine put_attribute(file, object, name, memory, stored, shape, buffer, error)
+    type(hdf5_file_t), intent(inout) :: file
+    integer(hid_t), intent(in) :: object, memory, stored
+    character(len=*), intent(in) :: name
+    integer(hsize_t), intent(in) :: shape(:)
+    type(c_ptr), intent(in) :: buffer
+    type(error_t), allocatable, intent(inout) :: error
+    integer(hid_t) :: space, attribute
+    integer :: status, ignored
+    logical :: there
+    if (file%broken) return
+    call clear_system_error()
+    call h5aexists_f(object, name, there, status)
+    space = -1
+    if (status >= 0 .and. there) then
+      call h5aopen_f(object, name, attribute, status)
+    else if (status >= 0) then
+      if (size(shape) == 0) then
+        call h5screate_f(h5s_scalar_f, space, status)
+      else
+        call h5screate_simple_f(size(shape), shape, space, status)
+      end if
+      if (status >= 0) call h5acreate_f(object, name, stored, space, attribute, status)
+    end if
+    call check(file, status, 'create the attribute', name, error)
+    if (status < 0) return
+    call h5awrite_f(attribute, memory, buffer, status)
+    call check(file, status, 'write the attribute', name, error)
+    if (file%broken) return
+    call h5aclose_f(attribute, ignored)
+    if (space >= 0) call h5sclose_f(space, ignored)
+  end subroutine put_attribute
+
+  !> A text attribute that Python reads as str.
+  subroutine set_text(file, object, name, text, error)
+    type(hdf5_file_t), intent(inout) :: file
+    integer(hid_t), intent(in) :: object
+    character(len=*), intent(in) :: name, text
+    type(error_t), allocatable, intent(inout) :: error
+    character(len=:), allocatable, target :: buffer
+    type(c_ptr), target :: pointer_to_text
+    integer(hid_t) :: text_type
+    if (file%broken) return
+    buffer = text//c_null_char
+    pointer_to_text = c_loc(buffer)
+    text_type = new_text_type()
+    call put_attribute(file, object, name, text_type, text_type, [integer(hsize_t) ::], c_loc(pointer_to_text), error)
+    call free_type(text_type)
+  end subroutine set_text
+
+  !> A text attribute of fixed length, ASCII, as VTK wants its `Type`.
+  subroutine set_fixed_text(file, object, name, text, error)
+    type(hdf5_file_t), intent(inout) :: file
+    integer(hid_t), intent(in) :: object
+    character(len=*), intent(in) :: name
+    character(len=*), intent(in), target :: text
+    type(error_t), allocatable, intent(inout) :: error
+    integer(hid_t) :: text_type
+    integer :: status
+    if (file%broken) return
+    call h5tcopy_f(h5t_fortran_s1, text_type, status)
+    call h5tset_size_f(text_type, len(text, kind=size_t), status)
+    call h5tset_strpad_f(text_type, h5t_str_nullpad_f, status)
+    call put_attribute(file, object, name, text_type, text_type, [integer(hsize_t) ::], c_loc(text), error)
+    call free_type(text_type)
+  end subroutine set_fixed_text
+
+  subroutine set_double(file, object, name, value, error)
+    type(hdf5_file_t), intent(inout) :: file
+    integer(hid_t), intent(in) :: object
+    character(len=*), intent(in) :: name
+    real(wp), intent(in), target :: value
+    type(error_t), allocatable, intent(inout) :: error
+    call put_attribute(file, object, name, memory_type(kind_double), file_type(kind_double), [integer(hsize_t) ::], &
+                       c_loc(value), error)
+  end subroutine set_double
+
+  subroutine set_long(file, object, name, value, error)
+    type(hdf5_file_t), intent(inout) :: file
+    integer(hid_t), intent(in) :: object
+    character(len=*), intent(in) :: name
+    integer(i8), intent(in), target :: value
+    type(error_t), allocatable, intent(inout) :: error
+    call put_attribute(file, object, name, memory_type(kind_long), file_type(kind_long), [integer(hsize_t) ::], &
+                       c_loc(value), error)
+  end subroutine set_long
+
+  subroutine set_longs(file, object, name, values, error)
+    type(hdf5_file_t), intent(inout) :: file
+    integer(hid_t), intent(in) :: object
+    character(len=*), intent(in) :: name
+    integer(i8), intent(in), target, contiguous :: values(:)
+    type(error_t), allocatable, intent(inout) :: error
+    call put_attribute(file, object, name, memory_type(kind_long), file_type(kind_long), shape(values, kind=hsize_t), &
+                       c_loc(values), error)
+  end subroutine set_longs
+
+  !> An attribute on a dataset named by its place.
+  subroutine set_text_of(file, parent, dataset, name, text, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: dataset, name, text
+    type(error_t), allocatable, intent(inout) :: error
+    integer(hid_t) :: id
+    integer :: status
+    if (file%broken) return
+    call h5dopen_f(parent%id, dataset, id, status)
+    call check(file, status, 'open', joined(parent, dataset), error)
+    if (status < 0) return
+    call set_text(file, id, name, text, error)
+    if (.not. file%broken) call h5dclose_f(id, status)
+  end subroutine set_text_of
+
+  !> Make a one-dimensional dataset the scale of a dimension of its own name.
+  subroutine make_scale(file, parent, name, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name
+    type(error_t), allocatable, intent(inout) :: error
+    integer(hid_t) :: id
+    integer :: status
+    if (file%broken) return
+    call h5dopen_f(parent%id, name, id, status)
+    if (status >= 0) call h5dsset_scale_f(id, status, name)
+    call check(file, status, 'make a dimension scale of', joined(parent, name), error)
+    if (status >= 0) call h5dclose_f(id, status)
+  end subroutine make_scale
+
+  !> Name the dimensions of a dataset, in Fortran's order, by scales beside it or given by
+  !> their path from the root ('/xyz').
+  subroutine attach_scales(file, parent, dataset, scales, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: dataset
+    character(len=*), intent(in) :: scales(:)
+    type(error_t), allocatable, intent(inout) :: error
+    integer(hid_t) :: id, scale
+    integer :: status, i
+    if (file%broken) return
+    call h5dopen_f(parent%id, dataset, id, status)
+    call check(file, status, 'open', joined(parent, dataset), error)
+    if (status < 0) return
+    do i = 1, size(scales)
+      call h5dopen_f(parent%id, trim(scales(i)), scale, status)
+      ! this call alone of the Fortran interface counts dimensions in C's order
+      if (status >= 0) call h5dsattach_scale_f(id, scale, size(scales) + 1 - i, status)
+      call check(file, status, 'name the dimension '//trim(scales(i))//' of', joined(parent, dataset), error)
+      if (status < 0) return
+      call h5dclose_f(scale, status)
+    end do
+    call h5dclose_f(id, status)
+  end subroutine attach_scales
+
+end module castnet_hdf5_file

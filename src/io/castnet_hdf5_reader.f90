@@ -1,0 +1,157 @@
+!> Reading whole datasets of an HDF5 file that others may have written: ask first what
+!> stands there and how much memory it would take, then read, converted to our kinds.
+module castnet_hdf5_reader
+  use, intrinsic :: iso_c_binding, only: c_loc, c_ptr
+  use hdf5, only: hid_t, hsize_t, h5dopen_f, h5dclose_f, h5dget_space_f, h5dget_type_f, h5dread_f, h5sclose_f, &
+                  h5tget_class_f, h5tclose_f, h5sget_simple_extent_ndims_f, h5sget_simple_extent_dims_f, &
+                  h5sget_simple_extent_type_f, h5lexists_f, h5oget_info_by_name_f, h5o_info_t, h5o_type_dataset_f, &
+                  h5t_integer_f, h5t_float_f, h5s_scalar_f, h5s_simple_f
+  use castnet_kinds, only: wp, i8
+  use castnet_error, only: error_t, fail, exit_file
+  use castnet_hdf5_file, only: hdf5_file_t, memory_type, kind_double, kind_long
+  implicit none
+  private
+  public :: dataset_t, ask_dataset, read_doubles, read_longs, class_none, class_integer, class_real, class_other
+
+  integer, parameter :: class_none = 0, class_integer = 1, class_real = 2, class_other = 3
+  integer, parameter :: most_rank = 32  !! HDF5's own limit
+
+  !> What stands at a path.
+  type :: dataset_t
+    integer :: class = class_none             !! class_none: there is no such dataset
+    integer :: rank = 0
+    integer(i8) :: shape(most_rank) = 0       !! Fortran order
+    integer(i8) :: n_value = 0                !! product of the shape, huge when that overflows
+  end type dataset_t
+
+contains
+
+  !> Ask for a dataset by its path from the root. Never fails: what cannot be read is of
+  !> `class_other`.
+  type(dataset_t) function ask_dataset(file, path) result(found)
+    type(hdf5_file_t), intent(in) :: file
+    character(len=*), intent(in) :: path
+    integer(hid_t) :: id, space, type_id
+    integer(hsize_t) :: extent(most_rank), most(most_rank)
+    integer :: status, class, form, i
+    if (.not. is_dataset(file, path)) return
+    found%class = class_other
+    call h5dopen_f(file%root%id, path, id, status)
+    if (status < 0) return
+    call h5dget_type_f(id, type_id, status)
+    if (status >= 0) then
+      call h5tget_class_f(type_id, class, status)
+      if (status >= 0 .and. class == h5t_integer_f) found%class = class_integer
+      if (status >= 0 .and. class == h5t_float_f) found%class = class_real
+      call h5tclose_f(type_id, status)
+    end if
+    call h5dget_space_f(id, space, status)
+    if (status >= 0) then
+      call h5sget_simple_extent_type_f(space, form, status)
+      if (form == h5s_simple_f) then
+        call h5sget_simple_extent_ndims_f(space, found%rank, status)
+        call h5sget_simple_extent_dims_f(space, extent(1:found%rank), most(1:found%rank), status)
+        found%shape(1:found%rank) = extent(1:found%rank)
+      else if (form /= h5s_scalar_f) then
+        found%class = class_other
+      end if
+      call h5sclose_f(space, status)
+    end if
+    found%n_value = 1
+    do i = 1, found%rank
+      if (found%shape(i) > 0) then
+        if (found%n_value > huge(1_i8)/found%shape(i)) then
+          found%n_value = huge(1_i8)
+          exit
+        end if
+      end if
+      found%n_value = found%n_value*found%shape(i)
+    end do
+    call h5dclose_f(id, status)
+  end function ask_dataset
+
+  !> Does every part of the path exist, and is the last a dataset?
+  logical function is_dataset(file, path)
+    type(hdf5_file_t), intent(in) :: file
+    character(len=*), intent(in) :: path
+    type(h5o_info_t), target :: info
+    integer :: status, i
+    is_dataset = .false.
+    do i = 2, len(path) + 1
+      if (i <= len(path)) then
+        if (path(i:i) /= '/') cycle
+      end if
+      call h5lexists_f(file%root%id, path(1:i - 1), is_dataset, status)
+      if (status < 0) is_dataset = .false.
+      if (.not. is_dataset) return
+    end do
+    call h5oget_info_by_name_f(file%root%id, path, info, status)
+    is_dataset = status >= 0
+    if (is_dataset) is_dataset = info%type == h5o_type_dataset_f
+  end function is_dataset
+
+  !> All values of a numeric dataset as doubles, Fortran order.
+  subroutine read_doubles(file, path, n, values, error)
+    type(hdf5_file_t), intent(in) :: file
+    character(len=*), intent(in) :: path
+    integer(i8), intent(in) :: n                                !! as `ask_dataset` said
+    real(wp), allocatable, target, intent(out) :: values(:)     !! (n)
+    type(error_t), allocatable, intent(inout) :: error
+    integer(hid_t) :: id
+    type(c_ptr) :: buffer
+    integer :: status
+    allocate (values(n), stat=status)
+    if (status /= 0) then
+      call fail(error, exit_file, "no memory to read '"//path//"' of '"//file%path//"'")
+      return
+    end if
+    if (n == 0) return
+    call h5dopen_f(file%root%id, path, id, status)
+    if (status >= 0) then
+      buffer = c_loc(values)
+      call h5dread_f(id, memory_type(kind_double), buffer, status)
+      call complain(file, path, status, error)
+      call h5dclose_f(id, status)
+    else
+      call complain(file, path, status, error)
+    end if
+  end subroutine read_doubles
+
+  !> All values of an integer dataset as 64-bit integers, Fortran order.
+  subroutine read_longs(file, path, n, values, error)
+    type(hdf5_file_t), intent(in) :: file
+    character(len=*), intent(in) :: path
+    integer(i8), intent(in) :: n
+    integer(i8), allocatable, target, intent(out) :: values(:)  !! (n)
+    type(error_t), allocatable, intent(inout) :: error
+    integer(hid_t) :: id
+    type(c_ptr) :: buffer
+    integer :: status
+    allocate (values(n), stat=status)
+    if (status /= 0) then
+      call fail(error, exit_file, "no memory to read '"//path//"' of '"//file%path//"'")
+      return
+    end if
+    if (n == 0) return
+    call h5dopen_f(file%root%id, path, id, status)
+    if (status >= 0) then
+      buffer = c_loc(values)
+      call h5dread_f(id, memory_type(kind_long), buffer, status)
+      call complain(file, path, status, error)
+      call h5dclose_f(id, status)
+    else
+      call complain(file, path, status, error)
+    end if
+  end subroutine read_longs
+
+  subroutine complain(file, path, status, error)
+    type(hdf5_file_t), intent(in) :: file
+    character(len=*), intent(in) :: path
+    integer, intent(in) :: status
+    type(error_t), allocatable, intent(inout) :: error
+    if (status >= 0) return
+    call fail(error, exit_file, "cannot read '"//path//"' of '"//file%path// &
+              "': the file is damaged, or needs a filter that is not here; write it again without compression")
+  end subroutine complain
+
+end module castnet_hdf5_reader

@@ -1,0 +1,269 @@
+!> Datasets of an HDF5 file that grow along one dimension, a frame or a block at a time.
+!> The growing dimension is Fortran's last, Python's first.
+module castnet_hdf5_series
+  use, intrinsic :: iso_c_binding, only: c_loc, c_ptr
+  use, intrinsic :: ieee_arithmetic, only: ieee_value, ieee_quiet_nan
+  use hdf5, only: hid_t, hsize_t, h5screate_simple_f, h5sclose_f, h5sselect_hyperslab_f, h5pcreate_f, h5pset_chunk_f, &
+                  h5pset_fill_value_f, h5pget_chunk_f, h5pclose_f, h5dcreate_f, h5dopen_f, h5dclose_f, h5dwrite_f, &
+                  h5dset_extent_f, h5dget_space_f, h5dget_create_plist_f, h5sget_simple_extent_ndims_f, &
+                  h5sget_simple_extent_dims_f, h5s_unlimited_f, h5s_select_set_f, h5p_dataset_create_f
+  use castnet_kinds, only: wp, sp, i4, i8
+  use castnet_error, only: error_t, fail, exit_file
+  use castnet_hdf5_file, only: hdf5_file_t, location_t, check, joined, set_attribute, kind_double, kind_single, &
+                               kind_integer, kind_long, memory_type, file_type, value_bytes
+  use castnet_posix, only: clear_system_error
+  implicit none
+  private
+  public :: series_t, create_series, open_series, append_frames, truncate_series, close_series, growth_bytes
+
+  integer, parameter :: most_rank = 4
+
+  !> Chunks of small frames hold about this much, of large ones at most the second [bytes]:
+  !> an almost empty file stays small, a long one reads fast.
+  integer(i8), parameter :: small_chunk = 8192_i8, large_chunk = 4194304_i8
+  integer(i8), parameter :: most_frames_per_chunk = 256_i8
+
+  type :: series_t
+    character(len=:), allocatable :: name       !! with its groups, for messages
+    integer(hid_t) :: id = -1
+    integer :: kind = kind_double
+    integer :: rank = 0                         !! dimensions, the growing one included
+    integer(hsize_t) :: shape(most_rank) = 1    !! of one frame, in shape(1:rank-1)
+    integer(i8) :: length = 0                   !! frames so far
+    integer(i8) :: frames_per_chunk = 1
+    integer(i8) :: block_bytes = 0              !! of all chunks side by side that hold a block of frames
+    integer :: block_chunks = 1                 !! how many they are
+  end type series_t
+
+  !> Append one or more frames: values one after the other, Fortran order.
+  interface append_frames
+    module procedure append_doubles, append_singles, append_integers, append_longs
+  end interface append_frames
+
+contains
+
+  !> Create an empty series. Values that are never written read as NaN (reals) or 0.
+  subroutine create_series(file, parent, name, kind, frame, units, series, error, together)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name, units     !! no units attribute when blank
+    integer, intent(in) :: kind                     !! kind_double ...
+    integer, intent(in) :: frame(:)                 !! shape of one frame, empty for a number
+    type(series_t), intent(out) :: series
+    type(error_t), allocatable, intent(inout) :: error
+    integer, intent(in), optional :: together       !! frames that are always appended together
+    integer(hsize_t) :: chunk(most_rank), extent(most_rank), most(most_rank)
+    integer(hid_t) :: space, plan
+    integer :: status, ignored
+    real(wp), target :: nan_double
+    real(sp), target :: nan_single
+    if (file%broken) return
+    call clear_system_error()
+    series%name = joined(parent, name)
+    series%kind = kind
+    series%rank = size(frame) + 1
+    series%shape(1:size(frame)) = frame
+    call choose_chunk(series, chunk, together)
+    extent = series%shape
+    extent(series%rank) = 0
+    most = series%shape
+    most(series%rank) = h5s_unlimited_f
+    call h5screate_simple_f(series%rank, extent(1:series%rank), space, status, most(1:series%rank))
+    if (status >= 0) call h5pcreate_f(h5p_dataset_create_f, plan, status)
+    if (status >= 0) call h5pset_chunk_f(plan, series%rank, chunk(1:series%rank), status)
+    if (status >= 0 .and. kind == kind_double) then
+      nan_double = ieee_value(nan_double, ieee_quiet_nan)
+      call h5pset_fill_value_f(plan, memory_type(kind), c_loc(nan_double), status)
+    else if (status >= 0 .and. kind == kind_single) then
+      nan_single = ieee_value(nan_single, ieee_quiet_nan)
+      call h5pset_fill_value_f(plan, memory_type(kind), c_loc(nan_single), status)
+    end if
+    if (status >= 0) call h5dcreate_f(parent%id, name, file_type(kind), space, series%id, status, plan)
+    call check(file, status, 'create', series%name, error)
+    if (status < 0) return
+    call h5pclose_f(plan, ignored)
+    call h5sclose_f(space, ignored)
+    if (len_trim(units) > 0) call set_attribute(file, series%id, 'units', units, error)
+  end subroutine create_series
+
+  !> A frame in a chunk; many if the frame is small, a part of it if it is large.
+  subroutine choose_chunk(series, chunk, together)
+    type(series_t), intent(inout) :: series
+    integer(hsize_t), intent(out) :: chunk(:)
+    integer, intent(in), optional :: together
+    integer(i8) :: bytes
+    integer :: longest
+    chunk = 1
+    chunk(1:series%rank - 1) = series%shape(1:series%rank - 1)
+    bytes = max(1_i8, product(chunk(1:series%rank - 1))*value_bytes(series%kind))
+    series%frames_per_chunk = max(1_i8, min(most_frames_per_chunk, small_chunk/bytes))
+    if (present(together)) &
+      series%frames_per_chunk = max(series%frames_per_chunk, min(int(together, i8), large_chunk/bytes))
+    chunk(series%rank) = series%frames_per_chunk
+    if (bytes > large_chunk .and. series%rank > 1) then
+      longest = maxloc(chunk(1:series%rank - 1), 1)
+      chunk(longest) = max(1_i8, chunk(longest)*large_chunk/bytes)
+    end if
+    call count_chunks(series, chunk)
+  end subroutine choose_chunk
+
+  !> What a block of frames costs on the disk: edge chunks are stored in full.
+  subroutine count_chunks(series, chunk)
+    type(series_t), intent(inout) :: series
+    integer(hsize_t), intent(in) :: chunk(:)
+    integer(i8) :: bytes
+    integer :: i
+    bytes = value_bytes(series%kind)*chunk(series%rank)
+    series%block_chunks = 1
+    do i = 1, series%rank - 1
+      series%block_chunks = series%block_chunks*int((series%shape(i) + chunk(i) - 1)/chunk(i))
+      bytes = bytes*chunk(i)
+    end do
+    series%block_bytes = bytes*series%block_chunks
+  end subroutine count_chunks
+
+  !> Open a series that `create_series` made.
+  subroutine open_series(file, parent, name, kind, series, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name
+    integer, intent(in) :: kind
+    type(series_t), intent(out) :: series
+    type(error_t), allocatable, intent(inout) :: error
+    integer(hsize_t) :: chunk(most_rank), extent(most_rank), most(most_rank)
+    integer(hid_t) :: space, plan
+    integer :: status, ignored
+    if (file%broken) return
+    series%name = joined(parent, name)
+    series%kind = kind
+    call h5dopen_f(parent%id, name, series%id, status)
+    if (status >= 0) call h5dget_space_f(series%id, space, status)
+    if (status >= 0) call h5sget_simple_extent_ndims_f(space, series%rank, status)
+    if (status >= 0 .and. series%rank > most_rank) status = -1
+    if (status >= 0) call h5sget_simple_extent_dims_f(space, extent(1:series%rank), most(1:series%rank), status)
+    if (status >= 0) call h5dget_create_plist_f(series%id, plan, status)
+    if (status >= 0) call h5pget_chunk_f(plan, series%rank, chunk(1:series%rank), status)
+    call check(file, status, 'open', series%name, error)
+    if (status < 0) return
+    series%length = extent(series%rank)
+    series%shape(1:series%rank - 1) = extent(1:series%rank - 1)
+    series%frames_per_chunk = chunk(series%rank)
+    call count_chunks(series, chunk)
+    call h5pclose_f(plan, ignored)
+    call h5sclose_f(space, ignored)
+  end subroutine open_series
+
+  !> Most bytes that the file may grow by when `frames` more are appended: new chunks, and
+  !> the nodes of the tree that finds them.
+  pure integer(i8) function growth_bytes(series, frames)
+    type(series_t), intent(in) :: series
+    integer(i8), intent(in) :: frames
+    integer(i8), parameter :: tree_node = 4096_i8
+    integer(i8) :: blocks
+    blocks = chunk_blocks(series, series%length + frames) - chunk_blocks(series, series%length)
+    growth_bytes = blocks*(series%block_bytes + tree_node*(1 + series%block_chunks/16))
+  end function growth_bytes
+
+  pure integer(i8) function chunk_blocks(series, length)
+    type(series_t), intent(in) :: series
+    integer(i8), intent(in) :: length
+    chunk_blocks = (length + series%frames_per_chunk - 1)/series%frames_per_chunk
+  end function chunk_blocks
+
+  subroutine append_doubles(file, series, values, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(series_t), intent(inout) :: series
+    real(wp), intent(in), target, contiguous :: values(:)
+    type(error_t), allocatable, intent(inout) :: error
+    call append(file, series, kind_double, size(values, kind=i8), c_loc(values), error)
+  end subroutine append_doubles
+
+  subroutine append_singles(file, series, values, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(series_t), intent(inout) :: series
+    real(sp), intent(in), target, contiguous :: values(:)
+    type(error_t), allocatable, intent(inout) :: error
+    call append(file, series, kind_single, size(values, kind=i8), c_loc(values), error)
+  end subroutine append_singles
+
+  subroutine append_integers(file, series, values, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(series_t), intent(inout) :: series
+    integer(i4), intent(in), target, contiguous :: values(:)
+    type(error_t), allocatable, intent(inout) :: error
+    call append(file, series, kind_integer, size(values, kind=i8), c_loc(values), error)
+  end subroutine append_integers
+
+  subroutine append_longs(file, series, values, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(series_t), intent(inout) :: series
+    integer(i8), intent(in), target, contiguous :: values(:)
+    type(error_t), allocatable, intent(inout) :: error
+    call append(file, series, kind_long, size(values, kind=i8), c_loc(values), error)
+  end subroutine append_longs
+
+  !> Make the dataset longer by as many frames as the values fill, and write them there.
+  subroutine append(file, series, kind, n_value, buffer, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(series_t), intent(inout) :: series
+    integer, intent(in) :: kind
+    integer(i8), intent(in) :: n_value
+    type(c_ptr), intent(in) :: buffer
+    type(error_t), allocatable, intent(inout) :: error
+    integer(hsize_t) :: extent(most_rank), start(most_rank), count(most_rank)
+    integer(i8) :: frame
+    integer(hid_t) :: space, memory
+    integer :: status, ignored, r
+    if (file%broken .or. n_value == 0) return
+    r = series%rank
+    frame = product(series%shape(1:r - 1))
+    if (kind /= series%kind .or. mod(n_value, frame) /= 0) then
+      call fail(error, exit_file, "internal: values do not fit the frames of '"//series%name//"'")
+      file%broken = .true.
+      return
+    end if
+    call clear_system_error()
+    count = series%shape
+    count(r) = n_value/frame
+    extent = series%shape
+    extent(r) = series%length + count(r)
+    start = 0
+    start(r) = series%length
+    call h5dset_extent_f(series%id, extent(1:r), status)
+    if (status >= 0) call h5dget_space_f(series%id, space, status)
+    if (status >= 0) call h5sselect_hyperslab_f(space, h5s_select_set_f, start(1:r), count(1:r), status)
+    if (status >= 0) call h5screate_simple_f(r, count(1:r), memory, status)
+    if (status >= 0) call h5dwrite_f(series%id, memory_type(kind), buffer, status, memory, space)
+    call check(file, status, 'append to', series%name, error)
+    if (status < 0) return
+    series%length = extent(r)
+    call h5sclose_f(memory, ignored)
+    call h5sclose_f(space, ignored)
+  end subroutine append
+
+  !> Cut a series to its first `length` frames; no effect if it is not longer.
+  subroutine truncate_series(file, series, length, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(series_t), intent(inout) :: series
+    integer(i8), intent(in) :: length
+    type(error_t), allocatable, intent(inout) :: error
+    integer(hsize_t) :: extent(most_rank)
+    integer :: status
+    if (file%broken .or. series%length <= length) return
+    extent = series%shape
+    extent(series%rank) = max(0_i8, length)
+    call h5dset_extent_f(series%id, extent(1:series%rank), status)
+    call check(file, status, 'shorten', series%name, error)
+    if (status >= 0) series%length = extent(series%rank)
+  end subroutine truncate_series
+
+  subroutine close_series(file, series)
+    type(hdf5_file_t), intent(inout) :: file
+    type(series_t), intent(inout) :: series
+    integer :: status
+    if (file%broken .or. series%id < 0) return
+    call h5dclose_f(series%id, status)
+    series%id = -1
+  end subroutine close_series
+
+end module castnet_hdf5_series

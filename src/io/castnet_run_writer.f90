@@ -1,0 +1,654 @@
+!> The output file of a run (design.md, "Output file"): what Python and ParaView open.
+!>
+!> The file is written as OUTPUT.part and renamed to OUTPUT when the run is complete.
+!> Everything of one frame goes through one `commit`: first the disk space that it can
+!> take is set aside, so that HDF5 never meets a full disk half-way, then it is written,
+!> then flushed. A run that is killed keeps every frame that was flushed.
+!>
+!> Fortran's shape (xyz, node, time) is Python's (time, node, xyz); indices in the file
+!> count from 0. One thread at a time may be in here.
+module castnet_run_writer
+  use castnet_kinds, only: wp, i4, i8
+  use castnet_error, only: error_t, fail, exit_file
+  use castnet_surface, only: surface_t
+  use castnet_model, only: model_t
+  use castnet_state, only: state_t, schedule_t
+  use castnet_record, only: history_row_t, summary_t
+  use castnet_text, only: to_text, folder_of
+  use castnet_posix, only: reserve_space, release_space, sync_path, rename_file, remove_file, free_space, &
+                           time_stamp, host_name, file_failure, path_kind, path_file
+  use castnet_hdf5_file, only: hdf5_file_t, location_t, create_hdf5, open_hdf5, close_file, flush_file, file_bytes, &
+                               make_group, open_group, close_group, delete_entry, has_entry, write_text, write_value, &
+                               write_array, make_scale, attach_scales, kind_double
+  use castnet_hdf5_series, only: series_t, create_series, open_series, append_frames, truncate_series, close_series, &
+                                 growth_bytes
+  use castnet_hdf5_reader, only: dataset_t, ask_dataset, read_longs, class_integer
+  use castnet_history_writer, only: history_writer_t, create_history, reopen_history, store_row, is_block_full, &
+                                    waiting_rows, write_rows, history_growth, close_history
+  use castnet_summary_writer, only: write_summary
+  use castnet_vtkhdf_writer, only: vtkhdf_writer_t, create_vtkhdf, reopen_vtkhdf, write_vtkhdf_frame, vtkhdf_growth, &
+                                   close_vtkhdf
+  implicit none
+  private
+  public :: run_writer_t, run_info_t, open_run, reopen_run, write_frame, write_history, flush_run, close_run
+  public :: status_complete, status_stopped, status_failed
+
+  character(len=*), parameter :: status_complete = 'complete', status_stopped = 'stopped', status_failed = 'failed'
+
+  !> Kept free behind the end, so that a file can be closed properly on a full disk [bytes].
+  integer(i8), parameter :: tail = 65536_i8
+
+  integer, parameter :: n_series = 8
+  integer, parameter :: s_time = 1, s_node_position = 2, s_node_velocity = 3, s_tension = 4, s_position = 5, &
+                        s_velocity = 6, s_attitude = 7, s_rate = 8
+  character(len=*), parameter :: series_name(n_series) = [character(len=23) :: 'time', 'node_position', &
+    'node_velocity', 'cable_tension', 'target_position', 'target_velocity', 'target_attitude', 'target_angular_velocity']
+  character(len=*), parameter :: series_units(n_series) = [character(len=7) :: 's', 'm', 'm s-1', 'N', 'm', 'm s-1', &
+    '1', 'rad s-1']
+
+  !> What /meta says about how the file came to be, and what is known of the run ahead.
+  type :: run_info_t
+    character(len=:), allocatable :: version, compiler, flags
+    integer :: threads = 1
+    logical :: vtk = .true.
+    character(len=:), allocatable :: checkpoint   !! that this run goes on from; not allocated: from t = 0
+    integer(i8) :: step = 0                       !! steps taken when it starts
+    real(wp) :: time = 0.0_wp                     !! and the time [s]
+    type(schedule_t) :: schedule                  !! and what has been put out by then
+    integer(i8) :: expected_frames = 0            !! 0: not known
+    integer(i8) :: expected_rows = 0
+  end type run_info_t
+
+  type :: run_writer_t
+    private
+    character(len=:), allocatable :: path, part
+    type(hdf5_file_t) :: file
+    type(series_t) :: series(n_series)
+    logical :: has(n_series) = .false.            !! the scene has this part
+    type(history_writer_t), allocatable :: history
+    type(vtkhdf_writer_t), allocatable :: vtk
+    type(surface_t), allocatable :: surface
+    real(wp), allocatable :: node(:)              !! scratch: x y z of each node
+    integer :: n_node = 0, n_cable = 0
+    character(len=:), allocatable :: session      !! name of this run's group in /meta/sessions
+  end type run_writer_t
+
+contains
+
+  !> Start OUTPUT.part with everything that does not change. An old OUTPUT.part is replaced:
+  !> who may do that is for the caller to know. Errors: exit_file.
+  subroutine open_run(writer, path, scene_text, effective_text, model, surface, info, error)
+    type(run_writer_t), intent(out) :: writer
+    character(len=*), intent(in) :: path                  !! OUTPUT
+    character(len=*), intent(in) :: scene_text            !! the scene as read
+    character(len=*), intent(in) :: effective_text        !! with every default
+    type(model_t), intent(in) :: model
+    type(surface_t), intent(in), optional :: surface      !! of the target, body axes; for pictures
+    type(run_info_t), intent(in) :: info
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: ignored
+    call prepare(writer, path, model, surface)
+    ignored = remove_file(writer%part)
+    call create_hdf5(writer%file, writer%part, error)
+    if (allocated(error)) return
+    call write_dimensions(writer, error)
+    call create_frames(writer, error)
+    allocate (writer%history)
+    call create_history(writer%history, writer%file, error)
+    call write_static(writer, model, error)
+    call write_meta(writer, scene_text, effective_text, model, info, error)
+    if (info%vtk) then
+      allocate (writer%vtk)
+      call create_vtkhdf(writer%vtk, writer%file, model, writer%surface, error)
+    end if
+    call flush_file(writer%file, error)
+    call check_room(writer, info, error)
+    if (.not. allocated(error)) return
+    ! Nothing of value is in it yet.
+    call close_quietly(writer)
+    ignored = remove_file(writer%part)
+  end subroutine open_run
+
+  !> Go on with OUTPUT.part after a restart: what lies behind the checkpoint is cut off.
+  !> Errors: exit_file when the file is damaged, of another net, or ends before the checkpoint.
+  subroutine reopen_run(writer, path, model, surface, info, error)
+    type(run_writer_t), intent(out) :: writer
+    character(len=*), intent(in) :: path                  !! OUTPUT; OUTPUT.part must be there
+    type(model_t), intent(in) :: model
+    type(surface_t), intent(in), optional :: surface
+    type(run_info_t), intent(in) :: info                  !! with the checkpoint's schedule
+    type(error_t), allocatable, intent(inout) :: error
+    integer(i8) :: frames, rows
+    integer :: i
+    call prepare(writer, path, model, surface)
+    call open_hdf5(writer%file, writer%part, .true., error)
+    if (allocated(error)) then
+      error%message = error%message//'; go on into a new file with --output'
+      return
+    end if
+    frames = info%schedule%frames - first_count(writer, '/meta/first_frame', error)
+    rows = info%schedule%rows - first_count(writer, '/meta/first_row', error)
+    call check_frames(writer, frames, rows, error)
+    if (allocated(error)) then
+      call close_quietly(writer)
+      return
+    end if
+    do i = 1, n_series
+      if (.not. writer%has(i)) cycle
+      call open_series(writer%file, writer%file%root, trim(series_name(i)), kind_double, writer%series(i), error)
+      call truncate_series(writer%file, writer%series(i), frames, error)
+    end do
+    allocate (writer%history)
+    call reopen_history(writer%history, writer%file, rows, error)
+    if (has_entry(writer%file%root, 'VTKHDF')) then
+      allocate (writer%vtk)
+      call reopen_vtkhdf(writer%vtk, writer%file, model, writer%surface, frames, error)
+    end if
+    if (has_entry(writer%file%root, 'summary')) call delete_entry(writer%file, writer%file%root, 'summary', error)
+    call continue_meta(writer, info, error)
+    call flush_file(writer%file, error)
+    call check_room(writer, info, error)
+    if (allocated(error)) call close_quietly(writer)
+  end subroutine reopen_run
+
+  !> Names, sizes, scratch.
+  subroutine prepare(writer, path, model, surface)
+    type(run_writer_t), intent(inout) :: writer
+    character(len=*), intent(in) :: path
+    type(model_t), intent(in) :: model
+    type(surface_t), intent(in), optional :: surface
+    writer%path = path
+    writer%part = path//'.part'
+    if (present(surface)) writer%surface = surface
+    writer%has(s_time) = .true.
+    if (allocated(model%net)) then
+      writer%n_node = model%net%n_node
+      writer%n_cable = model%net%n_cable
+      writer%has([s_node_position, s_node_velocity]) = writer%n_node > 0
+      writer%has(s_tension) = writer%n_cable > 0
+    end if
+    if (allocated(model%target)) writer%has([s_position, s_velocity, s_attitude, s_rate]) = .true.
+    allocate (writer%node(3*writer%n_node))
+  end subroutine prepare
+
+  ! ---- what stands from the start -------------------------------------------------
+
+  !> Dimension scales of the root other than time: index, or the name of a component.
+  subroutine write_dimensions(writer, error)
+    type(run_writer_t), intent(inout) :: writer
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: i
+    associate (file => writer%file, root => writer%file%root)
+      call write_array(file, root, 'xyz', ['x', 'y', 'z'], error)
+      call make_scale(file, root, 'xyz', error)
+      if (writer%has(s_attitude)) then
+        call write_array(file, root, 'quaternion', ['w', 'x', 'y', 'z'], error)
+        call make_scale(file, root, 'quaternion', error)
+      end if
+      if (writer%n_node > 0) then
+        call write_array(file, root, 'node', [(int(i, i4), i=0, writer%n_node - 1)], '1', error)
+        call make_scale(file, root, 'node', error)
+      end if
+      if (writer%n_cable > 0) then
+        call write_array(file, root, 'cable', [(int(i, i4), i=0, writer%n_cable - 1)], '1', error)
+        call make_scale(file, root, 'cable', error)
+      end if
+    end associate
+  end subroutine write_dimensions
+
+  !> The empty series of the root with their dimensions named.
+  subroutine create_frames(writer, error)
+    type(run_writer_t), intent(inout) :: writer
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: i
+    do i = 1, n_series
+      if (.not. writer%has(i)) cycle
+      select case (i)
+      case (s_time)
+        call create(i, [integer ::])
+        call make_scale(writer%file, writer%file%root, 'time', error)
+      case (s_node_position, s_node_velocity)
+        call create(i, [3, writer%n_node])
+        call name_dimensions(i, [character(len=4) :: 'xyz', 'node', 'time'])
+      case (s_tension)
+        call create(i, [writer%n_cable])
+        call name_dimensions(i, [character(len=5) :: 'cable', 'time'])
+      case (s_attitude)
+        call create(i, [4])
+        call name_dimensions(i, [character(len=10) :: 'quaternion', 'time'])
+      case default
+        call create(i, [3])
+        call name_dimensions(i, [character(len=4) :: 'xyz', 'time'])
+      end select
+    end do
+
+  contains
+
+    subroutine create(k, frame)
+      integer, intent(in) :: k, frame(:)
+      call create_series(writer%file, writer%file%root, trim(series_name(k)), kind_double, frame, trim(series_units(k)), &
+                         writer%series(k), error)
+    end subroutine create
+
+    subroutine name_dimensions(k, names)
+      integer, intent(in) :: k
+      character(len=*), intent(in) :: names(:)
+      call attach_scales(writer%file, writer%file%root, trim(series_name(k)), names, error)
+    end subroutine name_dimensions
+
+  end subroutine create_frames
+
+  !> /static: the net's topology and material, the target's mass and surface.
+  subroutine write_static(writer, model, error)
+    type(run_writer_t), intent(inout) :: writer
+    type(model_t), intent(in) :: model
+    type(error_t), allocatable, intent(inout) :: error
+    type(location_t) :: group
+    call make_group(writer%file, writer%file%root, 'static', group, error)
+    if (writer%n_node > 0) call write_static_net(writer, model, group, error)
+    if (allocated(model%target)) call write_static_target(writer, model, group, error)
+    call close_group(writer%file, group)
+  end subroutine write_static
+
+  subroutine write_static_net(writer, model, group, error)
+    type(run_writer_t), intent(inout) :: writer
+    type(model_t), intent(in) :: model
+    type(location_t), intent(in) :: group
+    type(error_t), allocatable, intent(inout) :: error
+    associate (file => writer%file, net => model%net)
+      call write_array(file, group, 'node_mass', net%node_mass, 'kg', error)
+      call attach_scales(file, group, 'node_mass', ['/node'], error)
+      call write_array(file, group, 'fixed', merge(1_i4, 0_i4, net%fixed), '1', error)
+      call attach_scales(file, group, 'fixed', ['/node'], error)
+      if (writer%n_cable > 0) then
+        call dimension_of(file, group, 'end', 2, error)
+        call write_array(file, group, 'cable_nodes', net%cable_nodes - 1, '1', error)
+        call attach_scales(file, group, 'cable_nodes', [character(len=6) :: 'end', '/cable'], error)
+        call write_array(file, group, 'natural_length', net%natural_length, 'm', error)
+        call attach_scales(file, group, 'natural_length', ['/cable'], error)
+        call write_array(file, group, 'axial_stiffness', net%axial_stiffness, 'N', error)
+        call attach_scales(file, group, 'axial_stiffness', ['/cable'], error)
+        call write_array(file, group, 'damping', net%damping, 'N s m-1', error)
+        call attach_scales(file, group, 'damping', ['/cable'], error)
+      end if
+      if (allocated(net%bullet_nodes)) call write_nodes('bullet_nodes', 'bullet', net%bullet_nodes)
+      if (allocated(net%perimeter_nodes)) call write_nodes('perimeter_nodes', 'perimeter', net%perimeter_nodes)
+      if (allocated(net%corner_nodes)) call write_nodes('corner_nodes', 'net_corner', net%corner_nodes)
+      if (allocated(net%faces)) then
+        if (size(net%faces) > 0) then
+          call dimension_of(file, group, 'face', size(net%faces, 2), error)
+          call dimension_of(file, group, 'face_corner', 4, error)
+          call write_array(file, group, 'faces', net%faces - 1, '1', error)
+          call attach_scales(file, group, 'faces', [character(len=11) :: 'face_corner', 'face'], error)
+        end if
+      end if
+    end associate
+
+  contains
+
+    !> A list of nodes along a dimension of its own.
+    subroutine write_nodes(name, along, nodes)
+      character(len=*), intent(in) :: name, along
+      integer, intent(in) :: nodes(:)
+      if (size(nodes) == 0) return
+      call dimension_of(writer%file, group, along, size(nodes), error)
+      call write_array(writer%file, group, name, nodes - 1, '1', error)
+      call attach_scales(writer%file, group, name, [along], error)
+    end subroutine write_nodes
+
+  end subroutine write_static_net
+
+  subroutine write_static_target(writer, model, group, error)
+    type(run_writer_t), intent(inout) :: writer
+    type(model_t), intent(in) :: model
+    type(location_t), intent(in) :: group
+    type(error_t), allocatable, intent(inout) :: error
+    associate (file => writer%file, target => model%target)
+      call write_value(file, group, 'target_mass', target%mass, 'kg', error)
+      call write_value(file, group, 'target_fixed', merge(1_i4, 0_i4, target%fixed), '1', error)
+      call dimension_of(file, group, 'column', 3, error)
+      call write_array(file, group, 'target_inertia', target%inertia, 'kg m2', error)
+      call attach_scales(file, group, 'target_inertia', [character(len=6) :: 'column', '/xyz'], error)
+      if (.not. allocated(writer%surface)) return
+      if (.not. allocated(writer%surface%vertex)) return
+      call dimension_of(file, group, 'target_vertex', size(writer%surface%vertex, 2), error)
+      call write_array(file, group, 'target_vertices', writer%surface%vertex, 'm', error)
+      call attach_scales(file, group, 'target_vertices', [character(len=13) :: '/xyz', 'target_vertex'], error)
+      if (size(writer%surface%triangle) == 0) return
+      call dimension_of(file, group, 'target_triangle', size(writer%surface%triangle, 2), error)
+      call dimension_of(file, group, 'triangle_corner', 3, error)
+      call write_array(file, group, 'target_triangles', writer%surface%triangle - 1, '1', error)
+      call attach_scales(file, group, 'target_triangles', ['triangle_corner', 'target_triangle'], error)
+    end associate
+  end subroutine write_static_target
+
+  !> A dimension scale that only counts: 0, 1, 2 ...
+  subroutine dimension_of(file, group, name, n, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: group
+    character(len=*), intent(in) :: name
+    integer, intent(in) :: n
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: i
+    call write_array(file, group, name, [(int(i, i4), i=0, n - 1)], '1', error)
+    call make_scale(file, group, name, error)
+  end subroutine dimension_of
+
+  ! ---- /meta ------------------------------------------------------------------------
+
+  !> Everything that is needed to repeat the run.
+  subroutine write_meta(writer, scene_text, effective_text, model, info, error)
+    type(run_writer_t), intent(inout) :: writer
+    character(len=*), intent(in) :: scene_text, effective_text
+    type(model_t), intent(in) :: model
+    type(run_info_t), intent(in) :: info
+    type(error_t), allocatable, intent(inout) :: error
+    type(location_t) :: meta, sessions
+    associate (file => writer%file)
+      call make_group(file, file%root, 'meta', meta, error)
+      call write_text(file, meta, 'scene', scene_text, error)
+      call write_text(file, meta, 'effective_scene', effective_text, error)
+      call write_text(file, meta, 'version', known(info%version), error)
+      call write_text(file, meta, 'compiler', known(info%compiler), error)
+      call write_text(file, meta, 'flags', known(info%flags), error)
+      call write_value(file, meta, 'threads', int(info%threads, i4), '1', error)
+      call write_value(file, meta, 'step', model%step, 's', error)
+      call write_value(file, meta, 'first_frame', info%schedule%frames, '1', error)
+      call write_value(file, meta, 'first_row', info%schedule%rows, '1', error)
+      call write_text(file, meta, 'start', time_stamp(), error)
+      call write_text(file, meta, 'end', '', error)
+      call write_text(file, meta, 'status', 'running', error)
+      call make_group(file, meta, 'sessions', sessions, error)
+      call start_session(writer, sessions, info, error)
+      call close_group(file, sessions)
+      call close_group(file, meta)
+    end associate
+  end subroutine write_meta
+
+  !> A restart: one session more, and the run goes on.
+  subroutine continue_meta(writer, info, error)
+    type(run_writer_t), intent(inout) :: writer
+    type(run_info_t), intent(in) :: info
+    type(error_t), allocatable, intent(inout) :: error
+    type(location_t) :: meta, sessions
+    associate (file => writer%file)
+      call open_group(file, file%root, 'meta', meta, error)
+      call replace_text(writer, meta, 'status', 'running', error)
+      call replace_text(writer, meta, 'end', '', error)
+      call open_group(file, meta, 'sessions', sessions, error)
+      call start_session(writer, sessions, info, error)
+      call close_group(file, sessions)
+      call close_group(file, meta)
+    end associate
+  end subroutine continue_meta
+
+  !> One process's share of the run: the lineage of restarts, numbered from 1.
+  subroutine start_session(writer, sessions, info, error)
+    type(run_writer_t), intent(inout) :: writer
+    type(location_t), intent(in) :: sessions
+    type(run_info_t), intent(in) :: info
+    type(error_t), allocatable, intent(inout) :: error
+    type(location_t) :: session
+    integer :: number
+    if (writer%file%broken) return
+    number = 1
+    do while (has_entry(sessions, to_text(number)))
+      number = number + 1
+    end do
+    writer%session = to_text(number)
+    associate (file => writer%file)
+      call make_group(file, sessions, writer%session, session, error)
+      call write_text(file, session, 'start', time_stamp(), error)
+      call write_text(file, session, 'host', host_name(), error)
+      call write_text(file, session, 'version', known(info%version), error)
+      call write_text(file, session, 'compiler', known(info%compiler), error)
+      call write_text(file, session, 'flags', known(info%flags), error)
+      call write_value(file, session, 'threads', int(info%threads, i4), '1', error)
+      call write_text(file, session, 'checkpoint', known(info%checkpoint), error)
+      call write_value(file, session, 'from_step', info%step, '1', error)
+      call write_value(file, session, 'from_time', info%time, 's', error)
+      call close_group(file, session)
+    end associate
+  end subroutine start_session
+
+  function known(text) result(words)
+    character(len=:), allocatable, intent(in) :: text
+    character(len=:), allocatable :: words
+    words = ''
+    if (allocated(text)) words = text
+  end function known
+
+  subroutine replace_text(writer, group, name, text, error)
+    type(run_writer_t), intent(inout) :: writer
+    type(location_t), intent(in) :: group
+    character(len=*), intent(in) :: name, text
+    type(error_t), allocatable, intent(inout) :: error
+    call delete_entry(writer%file, group, name, error)
+    call write_text(writer%file, group, name, text, error)
+  end subroutine replace_text
+
+  ! ---- checks before the first step -----------------------------------------------
+
+  !> Refuse at the start what would run into a full disk later, as far as it can be known.
+  subroutine check_room(writer, info, error)
+    type(run_writer_t), intent(in) :: writer
+    type(run_info_t), intent(in) :: info
+    type(error_t), allocatable, intent(inout) :: error
+    integer(i8) :: needed, left
+    if (allocated(error)) return
+    left = free_space(folder_of(writer%part)//'.')
+    needed = tail + frame_growth(writer)*max(0_i8, info%expected_frames - info%schedule%frames)/2
+    if (left < 0 .or. left >= needed) return
+    call fail(error, exit_file, "the disk of '"//writer%path//"' is too small: the run writes about "// &
+              to_text(needed/1048576_i8 + 1_i8)//' MiB, '//to_text(left/1048576_i8)// &
+              ' MiB are free; free disk space, choose another folder with --output or a longer output/frame_interval')
+  end subroutine check_room
+
+  !> A count that stands in /meta.
+  integer(i8) function first_count(writer, path, error)
+    type(run_writer_t), intent(inout) :: writer
+    character(len=*), intent(in) :: path
+    type(error_t), allocatable, intent(inout) :: error
+    type(dataset_t) :: found
+    integer(i8), allocatable :: value(:)
+    first_count = 0
+    if (allocated(error)) return
+    found = ask_dataset(writer%file, path)
+    if (found%class == class_integer .and. found%n_value == 1) then
+      call read_longs(writer%file, path, 1_i8, value, error)
+      if (.not. allocated(error)) first_count = value(1)
+    else
+      call fail(error, exit_file, "'"//writer%part//"' is not a run of castnet that can be continued: no "//path// &
+                '; go on into a new file with --output')
+    end if
+  end function first_count
+
+  !> Do the series reach as far as the checkpoint, and are they of this net?
+  subroutine check_frames(writer, frames, rows, error)
+    type(run_writer_t), intent(in) :: writer
+    integer(i8), intent(in) :: frames, rows
+    type(error_t), allocatable, intent(inout) :: error
+    type(dataset_t) :: found
+    integer :: i
+    if (allocated(error)) return
+    if (frames < 0 .or. rows < 0) call fail(error, exit_file, "'"//writer%part// &
+      "' starts after the checkpoint; go on into a new file with --output")
+    do i = 1, n_series
+      if (.not. writer%has(i)) cycle
+      found = ask_dataset(writer%file, '/'//trim(series_name(i)))
+      if (found%rank == 0) then
+        call fail(error, exit_file, "'"//writer%part//"' lacks /"//trim(series_name(i))// &
+                  '; go on into a new file with --output')
+      else if (found%shape(found%rank) < frames) then
+        call fail(error, exit_file, "'"//writer%part//"' holds "//to_text(found%shape(found%rank))// &
+                  ' frames of /'//trim(series_name(i))//', the checkpoint was taken after '//to_text(frames)// &
+                  '; go on into a new file with --output')
+      else if (i == s_node_position .and. found%shape(2) /= writer%n_node .or. &
+               i == s_tension .and. found%shape(1) /= writer%n_cable) then
+        call fail(error, exit_file, "'"//writer%part//"' is of another net; go on into a new file with --output")
+      end if
+    end do
+    found = ask_dataset(writer%file, '/history/time')
+    if (found%rank /= 1 .or. found%shape(1) < rows) call fail(error, exit_file, "'"//writer%part// &
+      "' holds fewer rows of /history than the checkpoint; go on into a new file with --output")
+  end subroutine check_frames
+
+  ! ---- while the run goes on --------------------------------------------------------
+
+  !> Most bytes that one frame adds to the file.
+  integer(i8) function frame_growth(writer)
+    type(run_writer_t), intent(in) :: writer
+    integer :: i
+    frame_growth = 0
+    do i = 1, n_series
+      if (writer%has(i)) frame_growth = frame_growth + growth_bytes(writer%series(i), 1_i8)
+    end do
+    if (allocated(writer%vtk)) frame_growth = frame_growth + vtkhdf_growth(writer%vtk)
+  end function frame_growth
+
+  !> Set aside what the next write can take, and what closing takes.
+  subroutine reserve(writer, bytes, error)
+    type(run_writer_t), intent(inout) :: writer
+    integer(i8), intent(in) :: bytes
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: number
+    if (writer%file%broken) return
+    number = reserve_space(writer%part, file_bytes(writer%file), bytes + tail)
+    if (number /= 0) call file_failure(error, number, 'cannot write to', writer%part)
+  end subroutine reserve
+
+  !> Append a frame, with the rows that wait, and flush: from here on a kill cannot take
+  !> it away. Errors: exit_file; the frames before stay readable.
+  subroutine write_frame(writer, model, state, cable_tension, error)
+    type(run_writer_t), intent(inout) :: writer
+    type(model_t), intent(in) :: model
+    type(state_t), intent(in) :: state
+    real(wp), intent(in), contiguous :: cable_tension(:) !! (n_cable) [N]
+    type(error_t), allocatable, intent(inout) :: error
+    if (allocated(error)) return
+    call reserve(writer, frame_growth(writer) + waiting_growth(writer), error)
+    if (allocated(error)) return
+    call append_frames(writer%file, writer%series(s_time), [state%time], error)
+    if (writer%has(s_node_position)) then
+      call append_net(s_node_position, state%node_position)
+      call append_net(s_node_velocity, state%node_velocity)
+    end if
+    if (writer%has(s_tension)) &
+      call append_frames(writer%file, writer%series(s_tension), cable_tension(1:writer%n_cable), error)
+    if (writer%has(s_position)) then
+      call append_frames(writer%file, writer%series(s_position), state%target%position, error)
+      call append_frames(writer%file, writer%series(s_velocity), state%target%velocity, error)
+      call append_frames(writer%file, writer%series(s_attitude), state%target%attitude, error)
+      call append_frames(writer%file, writer%series(s_rate), state%target%angular_velocity, error)
+    end if
+    if (allocated(writer%vtk)) &
+      call write_vtkhdf_frame(writer%vtk, writer%file, state, writer%surface, cable_tension, error)
+    call write_rows(writer%history, writer%file, error)
+    call flush_file(writer%file, error)
+
+  contains
+
+    !> One component after the other in memory, one node after the other in the file.
+    subroutine append_net(k, values)
+      integer, intent(in) :: k
+      real(wp), intent(in) :: values(:, :)        !! (n_pad,3)
+      integer :: i
+      do i = 1, writer%n_node
+        writer%node(3*i - 2:3*i) = values(i, :)
+      end do
+      call append_frames(writer%file, writer%series(k), writer%node, error)
+    end subroutine append_net
+
+  end subroutine write_frame
+
+  integer(i8) function waiting_growth(writer)
+    type(run_writer_t), intent(in) :: writer
+    waiting_growth = history_growth(writer%history, int(waiting_rows(writer%history), i8))
+  end function waiting_growth
+
+  !> Keep a row of /history; it reaches the file with the next frame or flush.
+  subroutine write_history(writer, row, error)
+    type(run_writer_t), intent(inout) :: writer
+    type(history_row_t), intent(in) :: row
+    type(error_t), allocatable, intent(inout) :: error
+    if (allocated(error)) return
+    call store_row(writer%history, row)
+    if (is_block_full(writer%history)) call flush_run(writer, error)
+  end subroutine write_history
+
+  !> Write the rows that wait. To be called before a checkpoint is written, so that the
+  !> file is never behind it.
+  subroutine flush_run(writer, error)
+    type(run_writer_t), intent(inout) :: writer
+    type(error_t), allocatable, intent(inout) :: error
+    if (allocated(error) .or. waiting_rows(writer%history) == 0) return
+    call reserve(writer, waiting_growth(writer), error)
+    if (allocated(error)) return
+    call write_rows(writer%history, writer%file, error)
+    call flush_file(writer%file, error)
+  end subroutine flush_run
+
+  !> Write /summary and the status, close, and rename OUTPUT.part to OUTPUT when the run is
+  !> complete. May be called with an error at hand: then the file is closed as well as it
+  !> can be and the first error stays.
+  subroutine close_run(writer, summary, status, error)
+    type(run_writer_t), intent(inout) :: writer
+    type(summary_t), intent(in) :: summary
+    character(len=*), intent(in) :: status        !! status_complete, status_stopped, status_failed
+    type(error_t), allocatable, intent(inout) :: error
+    type(error_t), allocatable :: problem
+    integer :: number
+    if (.not. writer%file%is_open) return
+    call flush_run(writer, problem)
+    if (allocated(problem) .and. .not. allocated(error)) call move_alloc(problem, error)
+    if (allocated(problem)) deallocate (problem)
+    call reserve(writer, 0_i8, problem)
+    if (.not. allocated(problem)) then
+      call write_summary(writer%file, summary, problem)
+      call end_meta(writer, status, problem)
+    end if
+    if (allocated(problem) .and. .not. allocated(error)) call move_alloc(problem, error)
+    call close_everything(writer, error)
+    number = release_space(writer%part)
+    if (allocated(error) .or. status /= status_complete) return
+    number = sync_path(writer%part)
+    if (number == 0) number = rename_file(writer%part, writer%path)
+    if (number /= 0) call file_failure(error, number, "cannot finish '"//writer%path//"' from", writer%part, &
+                                       'the file is complete: rename it yourself')
+    number = sync_path(folder_of(writer%path)//'.')
+  end subroutine close_run
+
+  subroutine end_meta(writer, status, error)
+    type(run_writer_t), intent(inout) :: writer
+    character(len=*), intent(in) :: status
+    type(error_t), allocatable, intent(inout) :: error
+    type(location_t) :: meta, session
+    call open_group(writer%file, writer%file%root, 'meta', meta, error)
+    call replace_text(writer, meta, 'status', status, error)
+    call replace_text(writer, meta, 'end', time_stamp(), error)
+    call open_group(writer%file, meta, 'sessions/'//writer%session, session, error)
+    call write_text(writer%file, session, 'end', time_stamp(), error)
+    call write_text(writer%file, session, 'status', status, error)
+    call close_group(writer%file, session)
+    call close_group(writer%file, meta)
+  end subroutine end_meta
+
+  subroutine close_everything(writer, error)
+    type(run_writer_t), intent(inout) :: writer
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: i
+    do i = 1, n_series
+      call close_series(writer%file, writer%series(i))
+    end do
+    if (allocated(writer%history)) call close_history(writer%history, writer%file)
+    if (allocated(writer%vtk)) call close_vtkhdf(writer%vtk, writer%file)
+    call close_file(writer%file, error)
+  end subroutine close_everything
+
+  subroutine close_quietly(writer)
+    type(run_writer_t), intent(inout) :: writer
+    type(error_t), allocatable :: ignored
+    call close_everything(writer, ignored)
+  end subroutine close_quietly
+
+end module castnet_run_writer
