@@ -1,5 +1,7 @@
 !> Every unit and verification test. One line per suite; `fpm @check -- contact` filters.
 program main
+  use test_convex_hull, only: run_test_convex_hull
+  use test_diagnostics, only: run_test_diagnostics
   use test_perturb, only: run_test_perturb
   use test_rng, only: run_test_rng
   use test_run_writer, only: run_test_run_writer
@@ -7,6 +9,8 @@ program main
   use test_text, only: run_test_text
   use testing, only: finish
   implicit none
+  call run_test_convex_hull()
+  call run_test_diagnostics()
   call run_test_perturb()
   call run_test_rng()
   call run_test_run_writer()

@@ -5,6 +5,7 @@
 !> kernels run along the nodes; rows beyond `n_node` are padding and stay zero.
 module castnet_state
   use castnet_kinds, only: wp, i8
+  use castnet_record, only: capture_measures_t
   implicit none
   private
   public :: state_t, body_state_t, closing_state_t, ledger_t, tally_t, schedule_t
@@ -78,6 +79,7 @@ module castnet_state
     type(schedule_t) :: schedule
     real(wp) :: first_contact = -1.0_wp       !! time of the first impulse [s], negative: none yet
     integer(i8), allocatable :: impulse_histogram(:) !! (impulse_bins), bullets excluded; allocated with contact
+    type(capture_measures_t), allocatable :: measures(:) !! taken so far at the scene's verdict times
     real(wp) :: skip_contact_until = 0.0_wp   !! proven: nothing can touch before this time [s]
   end type state_t
 

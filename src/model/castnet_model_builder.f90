@@ -1,0 +1,232 @@
+!> From a scene to the model of a run and its state at t = 0.
+module castnet_model_builder
+  use castnet_kinds, only: wp, i8
+  use castnet_error, only: error_t, fail, exit_input
+  use castnet_model, only: model_t, target_t, contact_t, closing_t, law_impulse, law_penalty, law_hunt_crossley, &
+                           method_rk4, method_midpoint, method_adaptive, trigger_contact, trigger_time, trigger_passed_target
+  use castnet_net, only: net_t
+  use castnet_net_builder, only: square_net_nodes, build_square_net, finish_net
+  use castnet_perturb, only: perturbation_t, draw_perturbation, apply_perturbation
+  use castnet_rotation, only: normalise_quaternion
+  use castnet_scene, only: scene_t, target_group_t, part_group_t, closing_group_t, is_set
+  use castnet_shape, only: shape_t, new_shape, new_compound, new_mesh_shape, unit_inertia, shape_volume
+  use castnet_state, only: state_t, impulse_bins
+  implicit none
+  private
+  public :: file_net_t, build_model
+
+  !> A net that was read from a file, with its state at t = 0.
+  type :: file_net_t
+    type(net_t) :: net
+    real(wp), allocatable :: position(:, :)  !! (3,n_node) [m]
+    real(wp), allocatable :: velocity(:, :)  !! (3,n_node) [m/s]
+  end type file_net_t
+
+  !> Closing thread: stiffness k_t = 5 T_w/(squares x mesh length), damping ratio 0.3 on
+  !> the bullets (physics.md section 5: a stiffer thread loses the capture).
+  real(wp), parameter :: thread_stretch = 5.0_wp, thread_damping_ratio = 0.3_wp
+
+contains
+
+  !> Build everything that the scene asks for; `model%step` is left to the simulation,
+  !> which knows the stability limits. The scene is complete: its defaults are resolved.
+  !> Errors: a shape that cannot be made, a mesh file that cannot be read.
+  subroutine build_model(scene, file_net, model, state, error)
+    type(scene_t), intent(in) :: scene
+    type(file_net_t), allocatable, intent(inout) :: file_net !! for kind 'file'; its net moves into the model
+    type(model_t), intent(out) :: model
+    type(state_t), intent(out) :: state
+    type(error_t), allocatable, intent(inout) :: error
+    type(perturbation_t) :: drawn
+    real(wp), allocatable :: position(:, :), velocity(:, :)
+    integer :: n_node
+
+    n_node = 0
+    if (allocated(file_net)) then
+      n_node = file_net%net%n_node
+    else if (allocated(scene%net)) then
+      n_node = square_net_nodes(scene%net, scene%bullets)
+    end if
+    if (allocated(scene%perturb)) call draw_perturbation(scene%perturb, n_node, drawn)
+
+    if (allocated(file_net)) then
+      allocate (model%net)
+      model%net = file_net%net
+      model%net%clamp_tension = scene%net%clamp_tension
+      position = transpose(file_net%position)
+      velocity = transpose(file_net%velocity)
+      call finish_net(model%net)
+    else if (allocated(scene%net)) then
+      allocate (model%net)
+      call build_square_net(scene%net, scene%bullets, drawn, model%net, position, velocity)
+    end if
+    if (allocated(model%net)) then
+      allocate (state%node_position(model%net%n_pad, 3), state%node_velocity(model%net%n_pad, 3), source=0.0_wp)
+      state%node_position(:n_node, :) = position
+      state%node_velocity(:n_node, :) = velocity
+    end if
+
+    if (allocated(scene%target)) then
+      allocate (model%target, state%target)
+      call build_target(scene%target, scene%parts, model%target, error)
+      if (allocated(error)) return
+      state%target%position = scene%target%position
+      state%target%velocity = scene%target%velocity
+      state%target%attitude = normalise_quaternion(scene%target%attitude)
+      state%target%angular_velocity = scene%target%angular_velocity
+    end if
+
+    if (allocated(scene%contact) .and. allocated(model%net) .and. allocated(model%target)) then
+      allocate (model%contact)
+      call build_contact(scene, model%contact)
+      allocate (state%impulse_histogram(impulse_bins), source=0_i8)
+    end if
+    if (allocated(scene%closing)) then
+      allocate (model%closing, state%closing)
+      call build_closing(scene%closing, model%net, scene%bullets%mass, model%closing)
+    end if
+    if (allocated(scene%environment)) then
+      model%gravity = scene%environment%gravity
+      model%orbit_rate = scene%environment%orbit_rate
+    end if
+
+    model%end_time = scene%time%end_time
+    model%tolerance = scene%time%tolerance
+    select case (trim(scene%time%method))
+    case ('rk4')
+      model%method = method_rk4
+    case ('midpoint')
+      model%method = method_midpoint
+    case ('adaptive')
+      model%method = method_adaptive
+    end select
+    if (allocated(scene%perturb)) call apply_perturbation(drawn, model, state)
+  end subroutine build_model
+
+  !> Shape and mass properties. Without `inertia`, those of the uniform solid.
+  subroutine build_target(group, parts, target, error)
+    type(target_group_t), intent(in) :: group
+    type(part_group_t), allocatable, intent(in) :: parts(:)
+    type(target_t), intent(out) :: target
+    type(error_t), allocatable, intent(inout) :: error
+    real(wp), allocatable :: dimensions(:, :), position(:, :), attitude(:, :)
+    integer :: i
+
+    select case (trim(group%shape))
+    case ('compound')
+      allocate (dimensions(3, size(parts)), position(3, size(parts)), attitude(4, size(parts)))
+      do i = 1, size(parts)
+        dimensions(:, i) = parts(i)%dimensions
+        position(:, i) = parts(i)%position
+        attitude(:, i) = normalise_quaternion(parts(i)%attitude)
+      end do
+      call new_compound(target%shape, parts%shape, dimensions, position, attitude, error)
+    case ('mesh')
+      call new_mesh_shape(target%shape, trim(group%file), error)
+    case default
+      call new_shape(target%shape, trim(group%shape), group%dimensions, error)
+    end select
+    if (allocated(error)) return
+
+    target%fixed = group%fixed
+    target%external_force = group%external_force
+    target%external_torque = group%external_torque
+    if (is_set(group%mass)) target%mass = group%mass
+    if (is_set(group%inertia(1))) then
+      target%inertia(1, :) = [group%inertia(1), group%inertia(4), group%inertia(5)]
+      target%inertia(2, :) = [group%inertia(4), group%inertia(2), group%inertia(6)]
+      target%inertia(3, :) = [group%inertia(5), group%inertia(6), group%inertia(3)]
+    else
+      target%inertia = target%mass*unit_inertia(target%shape)
+    end if
+    if (target%fixed) return
+    target%inverse_mass = 1.0_wp/target%mass
+    call invert_symmetric(target%inertia, target%inverse_inertia)
+  end subroutine build_target
+
+  !> Inverse of a symmetric 3 x 3 matrix by cofactors.
+  pure subroutine invert_symmetric(a, b)
+    real(wp), intent(in) :: a(3, 3)
+    real(wp), intent(out) :: b(3, 3)
+    real(wp) :: determinant
+    b(1, 1) = a(2, 2)*a(3, 3) - a(2, 3)*a(3, 2)
+    b(1, 2) = a(1, 3)*a(3, 2) - a(1, 2)*a(3, 3)
+    b(1, 3) = a(1, 2)*a(2, 3) - a(1, 3)*a(2, 2)
+    b(2, 2) = a(1, 1)*a(3, 3) - a(1, 3)*a(3, 1)
+    b(2, 3) = a(1, 3)*a(2, 1) - a(1, 1)*a(2, 3)
+    b(3, 3) = a(1, 1)*a(2, 2) - a(1, 2)*a(2, 1)
+    determinant = a(1, 1)*b(1, 1) + a(1, 2)*b(1, 2) + a(1, 3)*b(1, 3)
+    b(2, 1) = b(1, 2)
+    b(3, 1) = b(1, 3)
+    b(3, 2) = b(2, 3)
+    b = b/determinant
+  end subroutine invert_symmetric
+
+  subroutine build_contact(scene, contact)
+    type(scene_t), intent(in) :: scene
+    type(contact_t), intent(out) :: contact
+    associate (group => scene%contact)
+      select case (trim(group%law))
+      case ('penalty')
+        contact%law = law_penalty
+      case ('hunt_crossley')
+        contact%law = law_hunt_crossley
+      case default
+        contact%law = law_impulse
+      end select
+      contact%detect_cables = group%detect == 'cables'
+      contact%push_only = group%impulses == 'push_only'
+      contact%dense = group%solver == 'dense'
+      contact%restitution = group%restitution
+      contact%friction = group%friction
+      contact%threshold = group%threshold
+      if (is_set(group%stiffness)) contact%stiffness = group%stiffness
+      if (is_set(group%damping)) contact%damping = group%damping
+    end associate
+  end subroutine build_contact
+
+  !> A thread on each of the four sides, from bullet to bullet, through the perimeter
+  !> nodes between them or straight ('bullets').
+  subroutine build_closing(group, net, bullet_mass, closing)
+    type(closing_group_t), intent(in) :: group
+    type(net_t), intent(in) :: net
+    real(wp), intent(in) :: bullet_mass
+    type(closing_t), intent(out) :: closing
+    integer :: s, k, n, first(5)
+
+    select case (trim(group%trigger))
+    case ('time')
+      closing%trigger = trigger_time
+    case ('passed_target')
+      closing%trigger = trigger_passed_target
+    case default
+      closing%trigger = trigger_contact
+    end select
+    closing%delay = group%delay
+    closing%winch_speed = group%winch_speed
+    closing%locked_length = group%locked_length
+    closing%max_tension = group%max_tension
+    closing%ring_friction = group%ring_friction
+    closing%stiffness = thread_stretch*group%max_tension/net%side_length
+    closing%damping = 2.0_wp*thread_damping_ratio*sqrt(closing%stiffness*bullet_mass)
+
+    n = size(net%perimeter_nodes)
+    do s = 1, 4
+      first(s) = findloc(net%perimeter_nodes, net%corner_nodes(s), dim=1)
+    end do
+    first(5) = n + 1
+    allocate (closing%path_start(5), closing%path_node(0))
+    do s = 1, 4
+      closing%path_start(s) = size(closing%path_node) + 1
+      closing%path_node = [closing%path_node, net%bullet_nodes(s)]
+      if (group%path == 'perimeter') then
+        do k = first(s), first(s + 1)
+          closing%path_node = [closing%path_node, net%perimeter_nodes(modulo(k - 1, n) + 1)]
+        end do
+      end if
+      closing%path_node = [closing%path_node, net%bullet_nodes(modulo(s, 4) + 1)]
+    end do
+    closing%path_start(5) = size(closing%path_node) + 1
+  end subroutine build_closing
+
+end module castnet_model_builder

@@ -1,0 +1,256 @@
+!> Cable tensions and the forces that they put on the nodes.
+!>
+!> A sweep runs through the nodes in chunks that fit the first cache. For each chunk:
+!> tensions of the cables that begin in it, then the force on its nodes, then the
+!> stage update of the integrator. Sums are taken in one fixed order, so the bits do
+!> not depend on the number of threads: chunks are the same whoever works on them,
+!> and a thread's range first recomputes the few cables that reach in from before.
+!>
+!> The loops are free of branches (`merge`, `max`), so that the compiler turns each of
+!> them into full-width vector code under the release flags.
+module castnet_cable_force
+  use castnet_kinds, only: wp
+  use castnet_cable_plan, only: cable_plan_t
+  implicit none
+  private
+  public :: slab_t, chunk_size, new_slabs, slab_halo, chunk_cables, chunk_force, loose_cables, sum_in_order
+
+  integer, parameter :: chunk_size = 128  !! nodes; all of a chunk's data stay in the first cache
+  integer, parameter :: lanes = 8         !! partial sums of a fixed-order sum
+  real(wp), parameter :: smallest_square = 1.0e-60_wp !! keeps the reciprocal of a length finite [m2]
+
+  !> A range of nodes that one thread works on, with the forces of its cables.
+  type :: slab_t
+    integer :: first = 1, last = 0          !! nodes; first is at the start of a chunk
+    real(wp), allocatable :: force(:, :, :) !! (first-max_offset:last,3,n_diagonal) on the first end of cable (a, a+offset) [N]
+  end type slab_t
+
+contains
+
+  !> Divide n_node nodes into at most n_slab ranges of whole chunks.
+  subroutine new_slabs(slabs, plan, n_node, n_slab)
+    type(slab_t), allocatable, intent(out) :: slabs(:)
+    type(cable_plan_t), intent(in) :: plan
+    integer, intent(in) :: n_node, n_slab
+    integer :: n_chunk, s, used
+
+    n_chunk = (n_node + chunk_size - 1)/chunk_size
+    used = max(1, min(n_slab, n_chunk))
+    allocate (slabs(used))
+    do s = 1, used
+      slabs(s)%first = int(int(n_chunk, 8)*(s - 1)/used)*chunk_size + 1
+      slabs(s)%last = min(n_node, int(int(n_chunk, 8)*s/used)*chunk_size)
+      allocate (slabs(s)%force(slabs(s)%first - plan%max_offset:slabs(s)%last, 3, plan%n_diagonal), source=0.0_wp)
+    end do
+  end subroutine new_slabs
+
+  !> Cables that begin before the slab and may end in it.
+  subroutine slab_halo(plan, slab, n_pad, x, v, floor_tension)
+    type(cable_plan_t), intent(in) :: plan
+    type(slab_t), intent(inout) :: slab
+    integer, intent(in) :: n_pad
+    real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)
+    real(wp), intent(in) :: floor_tension
+    real(wp) :: power(chunk_size)
+    integer :: d, begin, finish, a
+
+    do d = 1, plan%n_diagonal
+      begin = max(slab%first - plan%offset(d), plan%first(d))
+      finish = min(slab%first - 1, plan%last(d))
+      do a = begin, finish, chunk_size
+        call diagonal_cables(min(chunk_size, finish - a + 1), a, d, plan, slab, n_pad, x, v, floor_tension, power)
+      end do
+    end do
+  end subroutine slab_halo
+
+  !> Forces of the diagonal cables that begin at nodes begin..finish, and the power
+  !> that their damping takes from them.
+  subroutine chunk_cables(plan, slab, begin, finish, n_pad, x, v, floor_tension, power)
+    type(cable_plan_t), intent(in) :: plan
+    type(slab_t), intent(inout) :: slab
+    integer, intent(in) :: begin, finish               !! one chunk
+    integer, intent(in) :: n_pad
+    real(wp), intent(in) :: x(n_pad, 3)                !! node positions [m]
+    real(wp), intent(in) :: v(n_pad, 3)                !! node velocities [m/s]
+    real(wp), intent(in) :: floor_tension              !! 0 clamps, -huge does not [N]
+    real(wp), intent(out) :: power                     !! [W]
+    real(wp) :: p(chunk_size), total(lanes)
+    integer :: d, lo, hi, k
+
+    total = 0.0_wp
+    do d = 1, plan%n_diagonal
+      lo = max(begin, plan%first(d))
+      hi = min(finish, plan%last(d))
+      if (hi < lo) cycle
+      call diagonal_cables(hi - lo + 1, lo, d, plan, slab, n_pad, x, v, floor_tension, p)
+      p(hi - lo + 2:) = 0.0_wp
+      do k = 1, chunk_size, lanes
+        total = total + p(k:k + lanes - 1)
+      end do
+    end do
+    power = ((total(1) + total(5)) + (total(2) + total(6))) + ((total(3) + total(7)) + (total(4) + total(8)))
+  end subroutine chunk_cables
+
+  !> m cables (a, a + offset), (a + 1, a + 1 + offset), ... of diagonal d.
+  subroutine diagonal_cables(m, a, d, plan, slab, n_pad, x, v, floor_tension, power)
+    integer, intent(in) :: m, a, d
+    type(cable_plan_t), intent(in) :: plan
+    type(slab_t), intent(inout) :: slab
+    integer, intent(in) :: n_pad
+    real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)
+    real(wp), intent(in) :: floor_tension
+    real(wp), intent(out) :: power(chunk_size)
+    integer :: slot, b
+
+    slot = plan%start(d) + a - plan%first(d)
+    b = a + plan%offset(d)
+    call strided_tension(m, x(a, 1), x(a, 2), x(a, 3), x(b, 1), x(b, 2), x(b, 3), &
+                         v(a, 1), v(a, 2), v(a, 3), v(b, 1), v(b, 2), v(b, 3), &
+                         plan%stiffness(slot), plan%natural_length(slot), plan%damping(slot), floor_tension, &
+                         slab%force(a, 1, d), slab%force(a, 2, d), slab%force(a, 3, d), power)
+  end subroutine diagonal_cables
+
+  !> The tension law: T = max(floor, k (l - l0) + c dl/dt) while l > l0, else 0.
+  !> Source: physics.md section 1. The force on the first end points to the second.
+  pure subroutine strided_tension(m, ax, ay, az, bx, by, bz, au, av, aw, bu, bv, bw, &
+                                  stiffness, natural_length, damping, floor_tension, fx, fy, fz, power)
+    integer, intent(in) :: m
+    real(wp), intent(in) :: ax(m), ay(m), az(m), bx(m), by(m), bz(m) !! end positions [m]
+    real(wp), intent(in) :: au(m), av(m), aw(m), bu(m), bv(m), bw(m) !! end velocities [m/s]
+    real(wp), intent(in) :: stiffness(m), natural_length(m), damping(m)
+    real(wp), intent(in) :: floor_tension
+    real(wp), intent(out) :: fx(m), fy(m), fz(m)  !! force on the first end [N]
+    real(wp), intent(out) :: power(m)             !! dissipated [W]
+    real(wp) :: dx, dy, dz, square, inverse, rate, spring, tension, stretch
+    integer :: k
+
+    do k = 1, m
+      dx = bx(k) - ax(k)
+      dy = by(k) - ay(k)
+      dz = bz(k) - az(k)
+      square = max(dx*dx + dy*dy + dz*dz, smallest_square)
+      inverse = 1.0_wp/sqrt(square)
+      stretch = square*inverse - natural_length(k)
+      rate = (dx*(bu(k) - au(k)) + dy*(bv(k) - av(k)) + dz*(bw(k) - aw(k)))*inverse
+      spring = stiffness(k)*stretch
+      tension = merge(max(floor_tension, spring + damping(k)*rate), 0.0_wp, stretch > 0.0_wp)
+      power(k) = merge((tension - spring)*rate, 0.0_wp, stretch > 0.0_wp)
+      tension = tension*inverse
+      fx(k) = tension*dx
+      fy(k) = tension*dy
+      fz(k) = tension*dz
+    end do
+  end subroutine strided_tension
+
+  !> The same law for loose cables first..last, whose ends are gathered.
+  subroutine loose_cables(plan, first, last, n_pad, x, v, floor_tension, force, power)
+    type(cable_plan_t), intent(in) :: plan
+    integer, intent(in) :: first, last
+    integer, intent(in) :: n_pad
+    real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)
+    real(wp), intent(in) :: floor_tension
+    real(wp), intent(inout) :: force(plan%n_loose, 3)  !! on the first end [N]
+    real(wp), intent(inout) :: power(plan%n_loose)     !! dissipated [W]
+    real(wp) :: dx, dy, dz, square, inverse, rate, spring, tension, stretch
+    integer :: k, a, b, slot
+
+    do k = first, last
+      a = plan%loose_a(k)
+      b = plan%loose_b(k)
+      slot = plan%loose_start + k - 1
+      dx = x(b, 1) - x(a, 1)
+      dy = x(b, 2) - x(a, 2)
+      dz = x(b, 3) - x(a, 3)
+      square = max(dx*dx + dy*dy + dz*dz, smallest_square)
+      inverse = 1.0_wp/sqrt(square)
+      stretch = square*inverse - plan%natural_length(slot)
+      rate = (dx*(v(b, 1) - v(a, 1)) + dy*(v(b, 2) - v(a, 2)) + dz*(v(b, 3) - v(a, 3)))*inverse
+      spring = plan%stiffness(slot)*stretch
+      tension = merge(max(floor_tension, spring + plan%damping(slot)*rate), 0.0_wp, stretch > 0.0_wp)
+      power(k) = merge((tension - spring)*rate, 0.0_wp, stretch > 0.0_wp)
+      tension = tension*inverse
+      force(k, 1) = tension*dx
+      force(k, 2) = tension*dy
+      force(k, 3) = tension*dz
+    end do
+  end subroutine loose_cables
+
+  !> Force on the nodes begin..finish from all their cables: diagonals in their order,
+  !> then loose cables in slot order.
+  subroutine chunk_force(plan, slab, begin, finish, loose_force, force)
+    type(cable_plan_t), intent(in) :: plan
+    type(slab_t), intent(in) :: slab
+    integer, intent(in) :: begin, finish
+    real(wp), intent(in) :: loose_force(plan%n_loose, 3)
+    real(wp), intent(out) :: force(chunk_size, 3) !! [N]
+    integer :: c, d, lo, hi, o
+
+    do c = 1, 3
+      force(:, c) = 0.0_wp
+      do d = 1, plan%n_diagonal
+        o = plan%offset(d)
+        lo = max(begin, plan%first(d))
+        hi = min(finish, plan%last(d) + o)
+        if (hi < lo) cycle
+        call add_difference(hi - lo + 1, slab%force(lo, c, d), slab%force(lo - o, c, d), force(lo - begin + 1, c))
+      end do
+    end do
+    if (plan%n_loose > 0) call add_loose(plan, begin, finish, loose_force, force)
+  end subroutine chunk_force
+
+  !> total = total + (away - back): cables that begin here pull forward, those that end
+  !> here pull back. Where no cable begins or ends, the stored force is zero.
+  pure subroutine add_difference(m, away, back, total)
+    integer, intent(in) :: m
+    real(wp), intent(in) :: away(m), back(m)
+    real(wp), intent(inout) :: total(m)
+    integer :: k
+    do k = 1, m
+      total(k) = total(k) + (away(k) - back(k))
+    end do
+  end subroutine add_difference
+
+  !> The loose cables' share of the force on nodes begin..finish.
+  subroutine add_loose(plan, begin, finish, loose_force, force)
+    type(cable_plan_t), intent(in) :: plan
+    integer, intent(in) :: begin, finish
+    real(wp), intent(in) :: loose_force(plan%n_loose, 3)
+    real(wp), intent(inout) :: force(chunk_size, 3)
+    integer :: j, p, k, i, low, high, middle
+
+    low = 1                         ! bisection for the first loose node at or after begin
+    high = plan%n_loose_node + 1
+    do while (low < high)
+      middle = (low + high)/2
+      if (plan%loose_node(middle) < begin) then
+        low = middle + 1
+      else
+        high = middle
+      end if
+    end do
+    do j = low, plan%n_loose_node
+      if (plan%loose_node(j) > finish) exit
+      i = plan%loose_node(j) - begin + 1
+      do p = plan%loose_pointer(j), plan%loose_pointer(j + 1) - 1
+        k = abs(plan%loose_entry(p))
+        if (plan%loose_entry(p) > 0) then
+          force(i, :) = force(i, :) + loose_force(k, :)
+        else
+          force(i, :) = force(i, :) - loose_force(k, :)
+        end if
+      end do
+    end do
+  end subroutine add_loose
+
+  !> Sum in index order: the same bits whoever computed the terms.
+  pure real(wp) function sum_in_order(n, term) result(total)
+    integer, intent(in) :: n
+    real(wp), intent(in) :: term(n)
+    integer :: k
+    total = 0.0_wp
+    do k = 1, n
+      total = total + term(k)
+    end do
+  end function sum_in_order
+
+end module castnet_cable_force

@@ -1,0 +1,36 @@
+!> Forces on nodes and target besides the cables: closing thread, compliant contact.
+!> A scene without either never comes here.
+module castnet_extra_force
+  use castnet_kinds, only: wp
+  use castnet_model, only: model_t, law_impulse
+  use castnet_state, only: body_state_t, closing_state_t
+  implicit none
+  private
+  public :: has_extra_force, gather_extra_force
+
+contains
+
+  !> Does this model have forces besides cables, gravity and impulses?
+  pure logical function has_extra_force(model)
+    type(model_t), intent(in) :: model
+    has_extra_force = allocated(model%closing)
+    if (allocated(model%contact)) has_extra_force = has_extra_force .or. model%contact%law /= law_impulse
+  end function has_extra_force
+
+  !> All extra forces at one stage.
+  subroutine gather_extra_force(model, n_pad, x, v, body, closing, force, body_force, body_torque)
+    type(model_t), intent(in) :: model
+    integer, intent(in) :: n_pad
+    real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)    !! [m], [m/s]
+    type(body_state_t), allocatable, intent(in) :: body
+    type(closing_state_t), allocatable, intent(in) :: closing
+    real(wp), intent(out) :: force(n_pad, 3)            !! on the nodes [N]
+    real(wp), intent(out) :: body_force(3)              !! on the target, inertial [N]
+    real(wp), intent(out) :: body_torque(3)             !! on the target, body axes [N m]
+
+    force = 0.0_wp
+    body_force = 0.0_wp
+    body_torque = 0.0_wp
+  end subroutine gather_extra_force
+
+end module castnet_extra_force

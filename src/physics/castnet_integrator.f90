@@ -1,0 +1,359 @@
+!> One time step of net and target as one system, without contact impulses.
+!>
+!> Each stage is one sweep over the nodes (castnet_cable_force): tensions, forces and
+!> the stage update chunk by chunk. The net couples to the target within a step only
+!> through `gather_extra_force` (compliant contact); impulses come after the step.
+module castnet_integrator
+  use castnet_kinds, only: wp
+  use castnet_model, only: model_t
+  use castnet_state, only: state_t, body_state_t
+  use castnet_body_dynamics, only: body_rate_t, body_rate, body_advance, body_rk4, body_kick, orbital_acceleration
+  use castnet_cable_force, only: slab_t, chunk_size, new_slabs, slab_halo, chunk_cables, chunk_force, &
+                                 loose_cables, sum_in_order
+  use castnet_extra_force, only: has_extra_force, gather_extra_force
+  implicit none
+  private
+  public :: flow_work_t, new_flow_work, rk4_step, midpoint_step, accelerations
+
+  !> Scratch of the cable forces.
+  type :: cable_work_t
+    type(slab_t), allocatable :: slabs(:)
+    real(wp), allocatable :: loose_force(:, :)     !! (n_loose,3) [N]
+    real(wp), allocatable :: loose_power(:)        !! (n_loose) [W]
+    real(wp), allocatable :: chunk_power(:)        !! (n_chunk) [W]
+    real(wp), allocatable :: extra(:, :)           !! (n_pad,3) forces besides cables, only where a scene has some [N]
+  end type cable_work_t
+
+  !> Scratch of the integrator, allocated once.
+  type :: flow_work_t
+    type(cable_work_t) :: cables
+    real(wp), allocatable :: xa(:, :), va(:, :), xb(:, :), vb(:, :) !! (n_pad,3) stage states
+    real(wp), allocatable :: sum_x(:, :), sum_v(:, :)               !! (n_pad,3) weighted slopes of rk4
+    real(wp) :: body_force(3) = 0.0_wp             !! on the target besides external_force, inertial [N]
+    real(wp) :: body_torque(3) = 0.0_wp            !! on the target besides external_torque, body axes [N m]
+    logical :: midpoint_ready = .false.            !! xa, va hold the next midpoint; a contact event clears it
+  end type flow_work_t
+
+  !> What a sweep does with the accelerations a of its nodes.
+  integer, parameter :: stage_first = 1   !! rk4: slopes begin, out = x + h v
+  integer, parameter :: stage_middle = 2  !! rk4: slopes add twice, out = x0 + h v
+  integer, parameter :: stage_last = 3    !! rk4: x0 = x0 + h (slopes + this one)
+  integer, parameter :: stage_kick = 4    !! midpoint: v0 = v0 + h a, x0 = x + h/2 v0, out = the next midpoint
+  integer, parameter :: stage_rate = 5    !! out = a only
+
+contains
+
+  !> Allocate the scratch of one run.
+  subroutine new_flow_work(work, model, n_thread)
+    type(flow_work_t), intent(out) :: work
+    type(model_t), intent(in) :: model
+    integer, intent(in) :: n_thread  !! threads for the net
+    integer :: n
+
+    if (.not. allocated(model%net)) return
+    n = model%net%n_pad
+    associate (plan => model%net%plan)
+      call new_slabs(work%cables%slabs, plan, model%net%n_node, n_thread)
+      allocate (work%cables%loose_force(plan%n_loose, 3), work%cables%loose_power(plan%n_loose), source=0.0_wp)
+    end associate
+    allocate (work%cables%chunk_power((n + chunk_size - 1)/chunk_size), source=0.0_wp)
+    if (has_extra_force(model)) allocate (work%cables%extra(n, 3), source=0.0_wp)
+    allocate (work%xa(n, 3), work%va(n, 3), work%xb(n, 3), work%vb(n, 3), source=0.0_wp)
+    allocate (work%sum_x(n, 3), work%sum_v(n, 3), source=0.0_wp)
+  end subroutine new_flow_work
+
+  !> Classical Runge-Kutta of order 4 for net and target together.
+  subroutine rk4_step(model, state, work, h)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(inout) :: state
+    type(flow_work_t), intent(inout) :: work
+    real(wp), intent(in) :: h !! [s]
+    type(body_state_t), allocatable :: body
+    type(body_rate_t) :: k(4)
+    logical :: has_net, moves
+    integer :: n
+
+    has_net = allocated(model%net)
+    moves = .false.
+    if (allocated(model%target)) moves = .not. model%target%fixed
+    n = 0
+    if (has_net) n = model%net%n_pad
+    if (allocated(state%target)) body = state%target
+
+    if (allocated(work%cables%extra)) call gather_extra_force(model, n, state%node_position, state%node_velocity, &
+        body, state%closing, work%cables%extra, work%body_force, work%body_torque)
+    if (moves) k(1) = body_rate(model, body, work%body_force, work%body_torque)
+    if (has_net) then
+      call sweep(model, work%cables, stage_first, n, 0.5_wp*h, state%node_position, state%node_velocity, &
+                 work%xb, work%vb, work%xa, work%va, work%sum_x, work%sum_v, .true.)
+      state%ledger%dissipated = state%ledger%dissipated + h*damping_power(work%cables)
+    end if
+
+    if (moves) body = body_advance(state%target, k(1), 0.5_wp*h)
+    if (allocated(work%cables%extra)) call gather_extra_force(model, n, work%xa, work%va, &
+        body, state%closing, work%cables%extra, work%body_force, work%body_torque)
+    if (moves) k(2) = body_rate(model, body, work%body_force, work%body_torque)
+    if (has_net) call sweep(model, work%cables, stage_middle, n, 0.5_wp*h, work%xa, work%va, &
+        state%node_position, state%node_velocity, work%xb, work%vb, work%sum_x, work%sum_v, .false.)
+
+    if (moves) body = body_advance(state%target, k(2), 0.5_wp*h)
+    if (allocated(work%cables%extra)) call gather_extra_force(model, n, work%xb, work%vb, &
+        body, state%closing, work%cables%extra, work%body_force, work%body_torque)
+    if (moves) k(3) = body_rate(model, body, work%body_force, work%body_torque)
+    if (has_net) call sweep(model, work%cables, stage_middle, n, h, work%xb, work%vb, &
+        state%node_position, state%node_velocity, work%xa, work%va, work%sum_x, work%sum_v, .false.)
+
+    if (moves) body = body_advance(state%target, k(3), h)
+    if (allocated(work%cables%extra)) call gather_extra_force(model, n, work%xa, work%va, &
+        body, state%closing, work%cables%extra, work%body_force, work%body_torque)
+    if (moves) then
+      k(4) = body_rate(model, body, work%body_force, work%body_torque)
+      call body_rk4(state%target, k(1), k(2), k(3), k(4), h)
+    end if
+    if (has_net) call sweep(model, work%cables, stage_last, n, h/6.0_wp, work%xa, work%va, &
+        state%node_position, state%node_velocity, work%xb, work%vb, work%sum_x, work%sum_v, .false.)
+    state%force_evaluations = state%force_evaluations + 4
+  end subroutine rk4_step
+
+  !> Drift-kick-drift with one force evaluation: half drift, force at the midpoint
+  !> position with the velocity extrapolated there for the damping, kick, half drift.
+  !> Needs state%node_acceleration of the step before.
+  subroutine midpoint_step(model, state, work, h)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(inout) :: state
+    type(flow_work_t), intent(inout) :: work
+    real(wp), intent(in) :: h !! [s]
+    type(body_state_t), allocatable :: body
+    logical :: moves, coupled
+    integer :: n
+
+    moves = .false.
+    if (allocated(model%target)) moves = .not. model%target%fixed
+    coupled = allocated(work%cables%extra)
+    if (allocated(model%net)) then
+      n = model%net%n_pad
+      if (.not. work%midpoint_ready) then
+        work%xa = state%node_position + 0.5_wp*h*state%node_velocity
+        work%va = state%node_velocity + 0.5_wp*h*state%node_acceleration
+      end if
+      if (coupled) then
+        if (allocated(state%target)) body = state%target
+        if (moves) call body_flow(model, body, 0.5_wp*h)
+        call gather_extra_force(model, n, work%xa, work%va, body, state%closing, &
+                                work%cables%extra, work%body_force, work%body_torque)
+      end if
+      call sweep(model, work%cables, stage_kick, n, h, work%xa, work%va, &
+                 state%node_position, state%node_velocity, work%xb, work%vb, work%sum_x, state%node_acceleration, .true.)
+      state%ledger%dissipated = state%ledger%dissipated + h*damping_power(work%cables)
+      call move_alloc(work%xa, work%sum_x)    ! the stage's buffer becomes spare, the next midpoint the stage
+      call move_alloc(work%xb, work%xa)
+      call move_alloc(work%sum_x, work%xb)
+      call move_alloc(work%va, work%sum_v)
+      call move_alloc(work%vb, work%va)
+      call move_alloc(work%sum_v, work%vb)
+      work%midpoint_ready = .true.
+      state%force_evaluations = state%force_evaluations + 1
+    end if
+    if (.not. moves) return
+    if (coupled) then
+      call body_kick(model%target, body, h*work%body_force, h*work%body_torque)
+      call body_flow(model, body, 0.5_wp*h)
+      state%target = body
+    else
+      call body_flow(model, state%target, h)
+    end if
+  end subroutine midpoint_step
+
+  !> The target alone over h, by one Runge-Kutta step.
+  subroutine body_flow(model, body, h)
+    type(model_t), intent(in) :: model
+    type(body_state_t), intent(inout) :: body
+    real(wp), intent(in) :: h
+    type(body_rate_t) :: k1, k2, k3, k4
+    real(wp), parameter :: none(3) = 0.0_wp
+    k1 = body_rate(model, body, none, none)
+    k2 = body_rate(model, body_advance(body, k1, 0.5_wp*h), none, none)
+    k3 = body_rate(model, body_advance(body, k2, 0.5_wp*h), none, none)
+    k4 = body_rate(model, body_advance(body, k3, h), none, none)
+    call body_rk4(body, k1, k2, k3, k4, h)
+  end subroutine body_flow
+
+  !> Accelerations of all nodes at a given state (extra forces excluded) [m/s2].
+  subroutine accelerations(model, work, n_pad, x, v, a)
+    type(model_t), intent(in) :: model
+    type(flow_work_t), intent(inout) :: work
+    integer, intent(in) :: n_pad
+    real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)
+    real(wp), intent(out) :: a(n_pad, 3)
+    a = 0.0_wp
+    if (allocated(work%cables%extra)) work%cables%extra = 0.0_wp
+    call sweep(model, work%cables, stage_rate, n_pad, 0.0_wp, x, v, work%xa, work%va, work%xb, work%vb, work%sum_x, a, .false.)
+  end subroutine accelerations
+
+  !> One stage over all nodes. x, v: the stage's state. x0, v0: the step's start and, at
+  !> the last stage, its end. sum_x, sum_v: slopes; sum_v is the acceleration for
+  !> `stage_kick` and `stage_rate`. No two of the arrays are the same.
+  subroutine sweep(model, cables, stage, n_pad, h, x, v, x0, v0, x_out, v_out, sum_x, sum_v, with_power)
+    type(model_t), intent(in) :: model
+    type(cable_work_t), intent(inout) :: cables
+    integer, intent(in) :: stage, n_pad
+    real(wp), intent(in) :: h
+    real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)
+    real(wp), intent(inout) :: x0(n_pad, 3), v0(n_pad, 3), x_out(n_pad, 3), v_out(n_pad, 3)
+    real(wp), intent(inout) :: sum_x(n_pad, 3), sum_v(n_pad, 3)
+    logical, intent(in) :: with_power
+    real(wp) :: floor_tension
+    integer :: s
+
+    floor_tension = 0.0_wp
+    if (.not. model%net%clamp_tension) floor_tension = -huge(1.0_wp)
+    associate (plan => model%net%plan)
+      if (plan%n_loose > 0) call loose_cables(plan, 1, plan%n_loose, n_pad, x, v, floor_tension, &
+                                              cables%loose_force, cables%loose_power)
+    end associate
+    if (size(cables%slabs) == 1) then
+      call sweep_slab(model, cables, cables%slabs(1), stage, n_pad, h, floor_tension, x, v, x0, v0, &
+                      x_out, v_out, sum_x, sum_v, with_power)
+    else
+      !$omp parallel do default(shared) private(s) schedule(static, 1) num_threads(size(cables%slabs))
+      do s = 1, size(cables%slabs)
+        call sweep_slab(model, cables, cables%slabs(s), stage, n_pad, h, floor_tension, x, v, x0, v0, &
+                        x_out, v_out, sum_x, sum_v, with_power)
+      end do
+      !$omp end parallel do
+    end if
+  end subroutine sweep
+
+  !> The chunks of one slab.
+  subroutine sweep_slab(model, cables, slab, stage, n_pad, h, floor_tension, x, v, x0, v0, &
+                        x_out, v_out, sum_x, sum_v, with_power)
+    type(model_t), intent(in) :: model
+    type(cable_work_t), intent(inout) :: cables
+    type(slab_t), intent(inout) :: slab
+    integer, intent(in) :: stage, n_pad
+    real(wp), intent(in) :: h, floor_tension
+    real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)
+    real(wp), intent(inout) :: x0(n_pad, 3), v0(n_pad, 3), x_out(n_pad, 3), v_out(n_pad, 3)
+    real(wp), intent(inout) :: sum_x(n_pad, 3), sum_v(n_pad, 3)
+    logical, intent(in) :: with_power
+    real(wp) :: a(chunk_size, 3), power
+    integer :: b, m, c
+
+    associate (plan => model%net%plan, net => model%net)
+      call slab_halo(plan, slab, n_pad, x, v, floor_tension)
+      do b = slab%first, slab%last, chunk_size
+        m = min(chunk_size, slab%last - b + 1)
+        call chunk_cables(plan, slab, b, b + m - 1, n_pad, x, v, floor_tension, power)
+        if (with_power) cables%chunk_power((b - 1)/chunk_size + 1) = power
+        call chunk_force(plan, slab, b, b + m - 1, cables%loose_force, a)
+        if (allocated(cables%extra)) a(:m, :) = a(:m, :) + cables%extra(b:b + m - 1, :)
+        call force_to_acceleration(model, m, net%inverse_mass(b), n_pad, b, x, v, a)
+        do c = 1, 3
+          select case (stage)
+          case (stage_first)
+            call update_first(m, h, a(1, c), x(b, c), v(b, c), sum_x(b, c), sum_v(b, c), x_out(b, c), v_out(b, c))
+          case (stage_middle)
+            call update_middle(m, h, a(1, c), v(b, c), x0(b, c), v0(b, c), sum_x(b, c), sum_v(b, c), x_out(b, c), v_out(b, c))
+          case (stage_last)
+            call update_last(m, h, a(1, c), v(b, c), sum_x(b, c), sum_v(b, c), x0(b, c), v0(b, c))
+          case (stage_kick)
+            call update_kick(m, h, a(1, c), x(b, c), x0(b, c), v0(b, c), sum_v(b, c), x_out(b, c), v_out(b, c))
+          case (stage_rate)
+            sum_v(b:b + m - 1, c) = a(:m, c)
+          end select
+        end do
+      end do
+    end associate
+  end subroutine sweep_slab
+
+  !> Force -> acceleration, with gravity and the orbital frame on nodes that are free.
+  subroutine force_to_acceleration(model, m, inverse_mass, n_pad, b, x, v, a)
+    type(model_t), intent(in) :: model
+    integer, intent(in) :: m, n_pad, b
+    real(wp), intent(in) :: inverse_mass(m)
+    real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)
+    real(wp), intent(inout) :: a(chunk_size, 3)
+    real(wp) :: frame(3)
+    integer :: c, k
+
+    do c = 1, 3
+      do k = 1, m
+        a(k, c) = a(k, c)*inverse_mass(k)
+      end do
+      if (model%gravity(c) /= 0.0_wp) then
+        do k = 1, m
+          a(k, c) = a(k, c) + merge(model%gravity(c), 0.0_wp, inverse_mass(k) > 0.0_wp)
+        end do
+      end if
+    end do
+    if (model%orbit_rate /= 0.0_wp) then
+      do k = 1, m
+        frame = orbital_acceleration(model%orbit_rate, x(b + k - 1, :), v(b + k - 1, :))
+        if (inverse_mass(k) > 0.0_wp) a(k, :) = a(k, :) + frame
+      end do
+    end if
+  end subroutine force_to_acceleration
+
+  pure subroutine update_first(m, h, a, x, v, sum_x, sum_v, x_out, v_out)
+    integer, intent(in) :: m
+    real(wp), intent(in) :: h, a(m), x(m), v(m)
+    real(wp), intent(out) :: sum_x(m), sum_v(m), x_out(m), v_out(m)
+    integer :: k
+    do k = 1, m
+      sum_x(k) = v(k)
+      sum_v(k) = a(k)
+      x_out(k) = x(k) + h*v(k)
+      v_out(k) = v(k) + h*a(k)
+    end do
+  end subroutine update_first
+
+  pure subroutine update_middle(m, h, a, v, x0, v0, sum_x, sum_v, x_out, v_out)
+    integer, intent(in) :: m
+    real(wp), intent(in) :: h, a(m), v(m), x0(m), v0(m)
+    real(wp), intent(inout) :: sum_x(m), sum_v(m)
+    real(wp), intent(out) :: x_out(m), v_out(m)
+    integer :: k
+    do k = 1, m
+      sum_x(k) = sum_x(k) + 2.0_wp*v(k)
+      sum_v(k) = sum_v(k) + 2.0_wp*a(k)
+      x_out(k) = x0(k) + h*v(k)
+      v_out(k) = v0(k) + h*a(k)
+    end do
+  end subroutine update_middle
+
+  pure subroutine update_last(m, h, a, v, sum_x, sum_v, x0, v0)
+    integer, intent(in) :: m
+    real(wp), intent(in) :: h, a(m), v(m), sum_x(m), sum_v(m)
+    real(wp), intent(inout) :: x0(m), v0(m)
+    integer :: k
+    do k = 1, m
+      x0(k) = x0(k) + h*(sum_x(k) + v(k))
+      v0(k) = v0(k) + h*(sum_v(k) + a(k))
+    end do
+  end subroutine update_last
+
+  pure subroutine update_kick(m, h, a, x, x0, v0, acceleration, x_out, v_out)
+    integer, intent(in) :: m
+    real(wp), intent(in) :: h, a(m), x(m)
+    real(wp), intent(inout) :: x0(m), v0(m)
+    real(wp), intent(out) :: acceleration(m), x_out(m), v_out(m)
+    real(wp) :: half
+    integer :: k
+    half = 0.5_wp*h
+    do k = 1, m
+      v0(k) = v0(k) + h*a(k)
+      x0(k) = x(k) + half*v0(k)
+      acceleration(k) = a(k)
+      x_out(k) = x0(k) + half*v0(k)
+      v_out(k) = v0(k) + half*a(k)
+    end do
+  end subroutine update_kick
+
+  !> Power taken by the damping of all cables at the last sweep that asked for it [W].
+  real(wp) function damping_power(cables) result(power)
+    type(cable_work_t), intent(in) :: cables
+    power = sum_in_order(size(cables%chunk_power), cables%chunk_power) &
+            + sum_in_order(size(cables%loose_power), cables%loose_power)
+  end function damping_power
+
+end module castnet_integrator

@@ -1,0 +1,262 @@
+!> The largest step at which a method is stable on the taut net, damping included.
+!>
+!> The taut net is linear: M x'' + C x' + K x = 0 with K and C sums over the cables of
+!> k and c times n n^T between the ends. The highest frequency and the largest damping
+!> rate are the largest eigenvalues of M^-1/2 K M^-1/2 and M^-1/2 C M^-1/2, found by
+!> Lanczos and widened to the safe side. Where the directions of the taut cables are
+!> not known (nets from a file), n n^T is replaced by its bound 1: any shape of the net
+!> is then covered. Limits are those of the method's amplification over all modes with
+!> at most that frequency and that damping rate.
+module castnet_stable_step
+  use castnet_kinds, only: wp
+  use castnet_model, only: model_t, method_rk4, method_midpoint, method_adaptive
+  use castnet_net, only: net_t
+  implicit none
+  private
+  public :: spectrum_t, net_spectrum, largest_stable_step, amplification
+
+  !> Bounds of the taut net's modes.
+  type :: spectrum_t
+    real(wp) :: highest_frequency = 0.0_wp     !! undamped, of the taut net [rad/s]
+    real(wp) :: largest_damping_rate = 0.0_wp  !! largest eigenvalue of M^-1 C [1/s]
+  end type spectrum_t
+
+  integer, parameter :: most_iterations = 300
+  real(wp), parameter :: settled = 1.0e-7_wp   !! relative change of the Ritz value that ends the iteration
+  real(wp), parameter :: safety = 1.0e-4_wp    !! Ritz values come from below: widened by this
+
+contains
+
+  !> Bounds for a net. `position`: a state in which the cables point as in the taut net
+  !> (the stowed square net does); without it the bound for any shape.
+  subroutine net_spectrum(net, spectrum, position)
+    type(net_t), intent(in) :: net
+    type(spectrum_t), intent(out) :: spectrum
+    real(wp), intent(in), optional :: position(:, :)   !! (>=n_node,3) [m]
+    real(wp), allocatable :: direction(:, :), weight(:)
+    real(wp) :: d(3), length
+    integer :: e
+
+    if (net%n_cable == 0) return
+    allocate (direction(3, net%n_cable), weight(net%n_cable))
+    direction = 0.0_wp
+    direction(1, :) = 1.0_wp      ! all along one line: the graph Laplacian, n n^T <= 1
+    if (present(position)) then
+      do e = 1, net%n_cable
+        d = position(net%cable_nodes(2, e), :) - position(net%cable_nodes(1, e), :)
+        length = sqrt(d(1)**2 + d(2)**2 + d(3)**2)
+        if (length > 0.0_wp) direction(:, e) = d/length
+      end do
+    end if
+    weight = net%axial_stiffness/net%natural_length
+    spectrum%highest_frequency = sqrt(largest_eigenvalue(net, direction, weight))
+    if (any(net%damping > 0.0_wp)) spectrum%largest_damping_rate = largest_eigenvalue(net, direction, net%damping)
+  end subroutine net_spectrum
+
+  !> Largest eigenvalue of M^-1/2 (sum w n n^T) M^-1/2 by Lanczos, widened.
+  real(wp) function largest_eigenvalue(net, direction, weight) result(largest)
+    type(net_t), intent(in) :: net
+    real(wp), intent(in) :: direction(:, :)  !! (3,n_cable)
+    real(wp), intent(in) :: weight(:)        !! (n_cable)
+    real(wp), allocatable :: q(:, :), before(:, :), r(:, :), root(:)
+    real(wp) :: alpha(most_iterations), beta(0:most_iterations), value, previous
+    integer :: n, k, i, j
+
+    n = net%n_node
+    allocate (q(n, 3), before(n, 3), r(n, 3), root(n))
+    root = sqrt(net%inverse_mass(:n))
+    ! A rough start has a part in every mode; it only has to be the same every time.
+    do j = 1, 3
+      do i = 1, n
+        q(i, j) = merge(1.0_wp + 0.5_wp*modulo(7*i + 3*j, 11)/11.0_wp, -1.0_wp - 0.5_wp*modulo(5*i + j, 13)/13.0_wp, &
+                        modulo(i*i + 3*i*j + i/7, 5) > 1)
+      end do
+    end do
+    where (spread(root, 2, 3) == 0.0_wp) q = 0.0_wp
+    largest = 0.0_wp
+    beta(0) = sqrt(sum(q**2))
+    if (beta(0) == 0.0_wp) return
+    q = q/beta(0)
+    before = 0.0_wp
+    beta(0) = 0.0_wp
+    previous = 0.0_wp
+    do k = 1, most_iterations
+      call apply(q, r)
+      r = r - beta(k - 1)*before
+      alpha(k) = sum(r*q)
+      r = r - alpha(k)*q
+      beta(k) = sqrt(sum(r**2))
+      value = largest_tridiagonal(k, alpha, beta(1:))
+      largest = value
+      if (beta(k) <= 1.0e-12_wp*value) exit
+      if (k > 10 .and. abs(value - previous) <= settled*value) exit
+      previous = value
+      before = q
+      q = r/beta(k)
+    end do
+    largest = largest*(1.0_wp + safety)
+
+  contains
+
+    subroutine apply(x, y)
+      real(wp), intent(in) :: x(:, :)
+      real(wp), intent(out) :: y(:, :)
+      real(wp) :: s
+      integer :: e, a, b
+      y = 0.0_wp
+      do e = 1, net%n_cable
+        a = net%cable_nodes(1, e)
+        b = net%cable_nodes(2, e)
+        s = weight(e)*(direction(1, e)*(root(b)*x(b, 1) - root(a)*x(a, 1)) &
+                       + direction(2, e)*(root(b)*x(b, 2) - root(a)*x(a, 2)) &
+                       + direction(3, e)*(root(b)*x(b, 3) - root(a)*x(a, 3)))
+        y(a, :) = y(a, :) - (root(a)*s)*direction(:, e)
+        y(b, :) = y(b, :) + (root(b)*s)*direction(:, e)
+      end do
+    end subroutine apply
+
+  end function largest_eigenvalue
+
+  !> Largest eigenvalue of a symmetric tridiagonal matrix by Sturm bisection.
+  pure real(wp) function largest_tridiagonal(n, alpha, beta) result(value)
+    integer, intent(in) :: n
+    real(wp), intent(in) :: alpha(:), beta(:)
+    real(wp) :: low, high, middle, d, off
+    integer :: i, step
+    logical :: above
+
+    low = maxval(alpha(:n))
+    high = low
+    do i = 1, n
+      off = 0.0_wp
+      if (i > 1) off = off + beta(i - 1)
+      if (i < n) off = off + beta(i)
+      high = max(high, alpha(i) + off)
+    end do
+    do step = 1, 60
+      middle = 0.5_wp*(low + high)
+      above = .false.       ! is some eigenvalue above the middle?
+      d = 1.0_wp
+      do i = 1, n
+        off = 0.0_wp
+        if (i > 1) off = beta(i - 1)**2/d
+        d = alpha(i) - middle - off
+        if (d > 0.0_wp) above = .true.
+        if (abs(d) < 1.0e-290_wp) d = -1.0e-290_wp
+      end do
+      if (above) then
+        low = middle
+      else
+        high = middle
+      end if
+    end do
+    value = high
+  end function largest_tridiagonal
+
+  !> The largest h at which the method damps every mode of the spectrum; huge: no limit.
+  pure real(wp) function largest_stable_step(method, spectrum) result(h)
+    integer, intent(in) :: method
+    type(spectrum_t), intent(in) :: spectrum
+    real(wp) :: low, high
+    integer :: step
+
+    h = huge(1.0_wp)
+    if (spectrum%highest_frequency <= 0.0_wp .and. spectrum%largest_damping_rate <= 0.0_wp) return
+    high = 4.0_wp/max(spectrum%highest_frequency, 0.5_wp*spectrum%largest_damping_rate)
+    ! Walk up from a small step, so that an island of stability beyond the limit does not count.
+    low = 0.0_wp
+    do step = 1, 400
+      if (.not. all_stable(method, spectrum, high*step/400)) exit
+      low = high*step/400
+    end do
+    high = high*step/400
+    do step = 1, 40
+      h = 0.5_wp*(low + high)
+      if (all_stable(method, spectrum, h)) then
+        low = h
+      else
+        high = h
+      end if
+    end do
+    h = low
+  end function largest_stable_step
+
+  !> Are all modes up to the spectrum's corner stable at h?
+  pure logical function all_stable(method, spectrum, h)
+    integer, intent(in) :: method
+    type(spectrum_t), intent(in) :: spectrum
+    real(wp), intent(in) :: h
+    integer, parameter :: samples = 12
+    real(wp), parameter :: slack = 1.0e-9_wp
+    real(wp) :: w, g
+    integer :: i
+
+    w = h*spectrum%highest_frequency
+    g = h*spectrum%largest_damping_rate
+    all_stable = .true.
+    do i = 1, samples
+      all_stable = all_stable .and. amplification(method, w, g*i/samples) <= 1.0_wp + slack
+      all_stable = all_stable .and. amplification(method, w*i/samples, g) <= 1.0_wp + slack
+    end do
+    all_stable = all_stable .and. amplification(method, w, 0.0_wp) <= 1.0_wp + slack
+    all_stable = all_stable .and. amplification(method, 0.0_wp, g) <= 1.0_wp + slack
+  end function all_stable
+
+  !> Largest factor by which one step multiplies a mode x'' + (g/h) x' + (w/h)^2 x = 0.
+  !> rk4: |R(z)|, R = 1 + z + z^2/2 + z^3/6 + z^4/24, at both roots z of z^2 + g z + w^2.
+  !> midpoint: spectral radius of the step's 3 x 3 matrix on (x, h v, h^2 a).
+  pure real(wp) function amplification(method, w, g) result(factor)
+    integer, intent(in) :: method
+    real(wp), intent(in) :: w  !! h omega [-]
+    real(wp), intent(in) :: g  !! h gamma [-]
+    complex(wp) :: z(2), root
+    integer :: i
+
+    factor = 0.0_wp
+    select case (method)
+    case (method_midpoint)
+      factor = midpoint_radius(w*w, g)
+    case default
+      root = sqrt(cmplx(0.25_wp*g*g - w*w, 0.0_wp, wp))
+      z(1) = -0.5_wp*g + root
+      z(2) = -0.5_wp*g - root
+      do i = 1, 2
+        factor = max(factor, abs(1.0_wp + z(i)*(1.0_wp + z(i)/2.0_wp*(1.0_wp + z(i)/3.0_wp*(1.0_wp + z(i)/4.0_wp)))))
+      end do
+    end select
+  end function amplification
+
+  !> Spectral radius of drift-kick-drift with extrapolated damping velocity: with
+  !> A' = -W (x + V/2) - G (V + A/2), V' = V + A', x' = x + V + A'/2, the characteristic
+  !> polynomial is l^3 + a2 l^2 + a1 l + a0 with the coefficients below.
+  pure real(wp) function midpoint_radius(w, g) result(radius)
+    real(wp), intent(in) :: w  !! (h omega)^2 [-]
+    real(wp), intent(in) :: g  !! h gamma [-]
+    real(wp) :: a2, a1, a0, root, p, q, d, s, quadratic_b, quadratic_c
+    integer :: k
+
+    ! x'' eliminated: (l-1)^2 l + W l (l+1)^2/4 ... written out from the 3 x 3 matrix.
+    a2 = -2.0_wp + w + 1.5_wp*g
+    a1 = 1.0_wp - 2.0_wp*g
+    a0 = 0.5_wp*g
+    ! One real root by Newton from outside the roots' bound, then the other two.
+    root = -(1.0_wp + max(abs(a2), abs(a1), abs(a0)))
+    do k = 1, 200
+      p = ((root + a2)*root + a1)*root + a0
+      q = (3.0_wp*root + 2.0_wp*a2)*root + a1
+      if (q == 0.0_wp) exit
+      s = p/q
+      root = root - s
+      if (abs(s) <= 1.0e-15_wp*max(1.0_wp, abs(root))) exit
+    end do
+    quadratic_b = a2 + root
+    quadratic_c = a1 + root*quadratic_b
+    d = 0.25_wp*quadratic_b**2 - quadratic_c
+    if (d >= 0.0_wp) then
+      radius = max(abs(root), 0.5_wp*abs(quadratic_b) + sqrt(d))
+    else
+      radius = max(abs(root), sqrt(max(quadratic_c, 0.0_wp)))
+    end if
+  end function midpoint_radius
+
+end module castnet_stable_step

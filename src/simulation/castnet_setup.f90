@@ -1,0 +1,113 @@
+!> From a scene to a run that is ready to step: model, state, scratch and the step.
+module castnet_setup
+  use castnet_kinds, only: wp
+  use castnet_error, only: error_t, fail, exit_input
+  use castnet_integrator, only: accelerations
+  use castnet_model, only: model_t, method_midpoint
+  use castnet_model_builder, only: file_net_t, build_model
+  use castnet_scene, only: scene_t
+  use castnet_stable_step, only: spectrum_t, net_spectrum, largest_stable_step
+  use castnet_state, only: state_t
+  use castnet_stepper, only: work_t, new_work
+  use castnet_text, only: to_text
+  implicit none
+  private
+  public :: step_report_t, set_up, choose_step
+
+  real(wp), parameter :: safe_fraction = 0.7_wp   !! of the stability limit, where the step is chosen for the user
+  real(wp), parameter :: threshold_fraction = 0.1_wp !! of the contact threshold that a bullet may cross in a step
+  real(wp), parameter :: radians_per_step = 0.01_wp  !! of a target that spins alone
+  integer, parameter :: steps_at_least = 1000     !! where nothing else limits the step
+
+  !> How the step was found, for `castnet check` and the run log.
+  type :: step_report_t
+    type(spectrum_t) :: spectrum
+    real(wp) :: stable_limit = huge(1.0_wp)  !! [s]; huge: none
+    real(wp) :: step = 0.0_wp                !! [s]
+    logical :: unstable = .false.            !! above the limit, allowed by the scene
+    character(len=:), allocatable :: reason  !! what set the step
+  end type step_report_t
+
+contains
+
+  !> Build a run. Errors: what the builder refuses, a step above the limit.
+  subroutine set_up(scene, n_thread, file_net, model, state, work, report, error)
+    type(scene_t), intent(in) :: scene
+    integer, intent(in) :: n_thread
+    type(file_net_t), allocatable, intent(inout) :: file_net
+    type(model_t), intent(out) :: model
+    type(state_t), intent(out) :: state
+    type(work_t), intent(out) :: work
+    type(step_report_t), intent(out) :: report
+    type(error_t), allocatable, intent(inout) :: error
+
+    call build_model(scene, file_net, model, state, error)
+    if (allocated(error)) return
+    call choose_step(scene, model, state, report, error)
+    if (allocated(error)) return
+    model%step = report%step
+    call new_work(work, model, n_thread)
+    if (model%method == method_midpoint .and. allocated(model%net)) then
+      allocate (state%node_acceleration(model%net%n_pad, 3))
+      call accelerations(model, work%flow, model%net%n_pad, state%node_position, state%node_velocity, &
+                         state%node_acceleration)
+    end if
+    allocate (state%measures(size(scene%output%verdict_times)))
+  end subroutine set_up
+
+  !> The step: the scene's own, refused above the limit (or warned of), or 0.7 of the
+  !> limit and at most a tenth of the threshold per step at the bullets' speed.
+  subroutine choose_step(scene, model, state, report, error)
+    type(scene_t), intent(in) :: scene
+    type(model_t), intent(in) :: model
+    type(state_t), intent(in) :: state
+    type(step_report_t), intent(out) :: report
+    type(error_t), allocatable, intent(inout) :: error
+    real(wp) :: spin
+
+    if (allocated(model%net)) then
+      if (scene%net%kind == 'square') then
+        call net_spectrum(model%net, report%spectrum, state%node_position)
+      else
+        call net_spectrum(model%net, report%spectrum)
+      end if
+      report%stable_limit = largest_stable_step(model%method, report%spectrum)
+    end if
+
+    if (scene%time%step > 0.0_wp) then
+      report%step = scene%time%step
+      report%reason = 'given by the scene'
+      if (report%step <= report%stable_limit) return
+      report%unstable = .true.
+      if (scene%time%allow_unstable) return
+      call fail(error, exit_input, 'time/step: '//to_text(scene%time%step)//' s is above the stability limit of '// &
+                trim(scene%time%method)//' on this net, '//to_text(report%stable_limit)//' s (highest frequency '// &
+                to_text(report%spectrum%highest_frequency)//' rad/s, largest damping rate '// &
+                to_text(report%spectrum%largest_damping_rate)//' 1/s); give step = 0 to have one chosen, or '// &
+                'allow_unstable = .true. to be warned only')
+      return
+    end if
+
+    report%step = scene%time%end_time/steps_at_least
+    report%reason = 'end_time/1000'
+    if (allocated(state%target)) then
+      spin = sqrt(sum(state%target%angular_velocity**2))
+      if (spin*report%step > radians_per_step) then
+        report%step = radians_per_step/spin
+        report%reason = '0.01 rad of the target''s spin'
+      end if
+    end if
+    if (report%stable_limit < huge(1.0_wp)) then
+      report%step = safe_fraction*report%stable_limit
+      report%reason = '0.7 of the stability limit'
+    end if
+    if (allocated(model%contact) .and. allocated(scene%bullets)) then
+      if (report%step*scene%bullets%speed > threshold_fraction*model%contact%threshold) then
+        report%step = threshold_fraction*model%contact%threshold/scene%bullets%speed
+        report%reason = 'a tenth of the contact threshold at the bullets'' speed'
+      end if
+    end if
+    report%step = min(report%step, scene%time%end_time)
+  end subroutine choose_step
+
+end module castnet_setup

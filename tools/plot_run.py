@@ -1,0 +1,190 @@
+#!/usr/bin/env python3
+"""One page of pictures of any castnet run.
+
+    plot_run.py RUN.h5 [--output PICTURE.png] [--times 0.3 0.7 1.5 3]
+
+Snapshots in 3-D and a close-up of the end, the target's motion, impulses, energy
+ledger, cable tension and capture measures. What the run does not hold does not appear.
+"""
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from castnet_drawing import Scene3D, mark_contact, plot_vector, plt, scale_bar, tension_legend
+from castnet_reader import VERDICTS, Run
+
+
+def snapshot_times(run: Run, wanted: list[float] | None) -> list[float]:
+    """Four times: as wanted, or the start of the opening, first contact, and on to the end."""
+    if wanted:
+        return wanted
+    first, end = float(run.time[0]), float(run.time[-1])
+    touch = run.first_contact
+    if np.isfinite(touch) and touch < end:
+        return [first + 0.45 * (touch - first), touch, touch + 0.25 * (end - touch), end]
+    return list(np.linspace(first, end, 5)[1:])
+
+
+def panel_position(axis, run):
+    displacement = run.data["target_position"].values - run.data["target_position"].values[0]
+    plot_vector(axis, run.time, displacement)
+    axis.set(title="target: displacement", ylabel="m")
+    axis.legend(ncols=3)
+
+
+def panel_velocity(axis, run):
+    plot_vector(axis, run.time, run.data["target_velocity"].values)
+    axis.set(title="target: velocity", ylabel="m/s")
+
+
+def panel_spin(axis, run):
+    plot_vector(axis, run.time, run.data["target_angular_velocity"].values)
+    axis.set(title="target: angular velocity, body axes", ylabel="rad/s")
+
+
+def panel_impulses(axis, run):
+    history = run.history
+    for name, colour, label in (("max_bullet_impulse", "#b9770e", "bullets"), ("max_impulse", "#1f4e79", "nodes")):
+        if name in history:
+            value = history[name].values
+            hit = value > 0
+            axis.plot(history.time.values[hit], value[hit], ".", markersize=2.6, color=colour, label=label)
+    axis.set(title="largest impulse of one contact, per row", ylabel="N s", yscale="log")
+    axis.legend(ncols=2)
+
+
+def panel_energy(axis, run):
+    history = run.history
+    names = {
+        "kinetic_net": ("net, kinetic", "#2471a3"), "kinetic_target": ("target, kinetic", "#9a6a00"),
+        "elastic": ("elastic", "#c0392b"), "dissipated": ("lost in cables", "#7d3c98"),
+        "contact_loss": ("lost at contacts", "#566573"), "winch_work": ("winch work", "#1e8449"),
+        "projection_work": ("projection work", "#cc6699"), "external_work": ("external work", "#117a65"),
+    }
+    largest = max(float(np.abs(history[n].values).max()) for n in names if n in history)
+    for name, (label, colour) in names.items():
+        if name in history and np.abs(history[name].values).max() > 1e-4 * largest:
+            axis.plot(history.time, history[name], color=colour, label=label)
+    axis.set(title="energy", ylabel="J")
+    axis.legend(ncols=2)
+
+
+def panel_tension(axis, run):
+    history = run.history
+    if history is not None and "max_tension" in history:
+        axis.plot(history.time, history["max_tension"], color="#c0392b", linewidth=0.8, label="largest cable tension")
+    taut = (run.data["cable_tension"].values > 0).mean(axis=1)
+    axis.set(title="cable tension", ylabel="N", ylim=(0, None))
+    axis.legend(loc="upper left")
+    twin = axis.twinx()
+    twin.plot(run.time, taut, color="#2471a3", linewidth=1.0)
+    twin.set_ylabel("share of taut cables", color="#2471a3")
+    twin.set_ylim(0, 1)
+    twin.grid(False)
+
+
+def panel_measures(axis, run):
+    measures = run.measures
+    time = measures.verdict_time.values
+    marker = "o-" if time.size < 30 else "-"
+    for name, label, colour, scale in (
+        ("coverage", "coverage", "#1e8449", 1.0), ("largest_hole", "largest hole / 180 deg", "#9a6a00", 1 / 180),
+        ("escape", "escape", "#c0392b", 1.0), ("cqi", "CQI", "#7d3c98", 1.0),
+    ):
+        if name in measures:
+            axis.plot(time, measures[name].values * scale, marker, markersize=3.5, color=colour, label=label)
+    axis.set(title="capture measures at the verdict times", ylim=(-0.03, None), xlim=(run.time[0], run.time[-1] * 1.03))
+    axis.legend(ncols=2)
+
+
+def panels(run: Run) -> list:
+    """The panels this run has data for."""
+    chosen = []
+    if run.has_target and np.ptp(run.data["target_position"].values, axis=0).max() > 0:
+        chosen += [panel_position, panel_velocity]
+    if run.has_target and np.abs(run.data["target_angular_velocity"].values).max() > 0:
+        chosen.append(panel_spin)
+    history = run.history
+    if history is not None:
+        if "contacts" in history and history["contacts"].values.sum() > 0:
+            chosen.append(panel_impulses)
+        if "kinetic_net" in history or "kinetic_target" in history:
+            chosen.append(panel_energy)
+    if run.has_net and run.data.sizes.get("cable", 0) and "cable_tension" in run.data:
+        chosen.append(panel_tension)
+    if run.measures is not None and np.isfinite(run.measures["coverage"].values).any():
+        chosen.append(panel_measures)
+    return chosen
+
+
+def headline(run: Run) -> str:
+    words = [run.name]
+    if run.measures is not None and "verdict" in run.measures:
+        for time, verdict in zip(run.measures.verdict_time.values, run.measures["verdict"].values):
+            words.append(f"{VERDICTS.get(int(verdict), '?')} at {time:.3g} s")
+    if np.isfinite(run.first_contact):
+        words.append(f"first contact at {run.first_contact:.3g} s")
+    status = run.meta.get("status", "complete")
+    if status != "complete":
+        words.append(f"run {status}")
+    return "  ·  ".join(words[:6])
+
+
+def plot_run(run: Run, times: list[float] | None = None):
+    """The whole page as a matplotlib figure."""
+    chosen = panels(run)
+    rows = -(-len(chosen) // 4)
+    top = 7.0 if run.has_net or run.has_target else 0.6
+    height = top + 0.35 + 2.3 * rows
+    figure = plt.figure(figsize=(14.5, height))
+    figure.suptitle(headline(run), x=0.03, y=1 - 0.22 / height, ha="left", va="center", fontsize=12, fontweight="bold")
+    if top > 1:
+        scene = Scene3D(run)
+        upper = figure.add_gridspec(2, 4, left=0.02, right=0.985, top=1 - 0.5 / height, bottom=1 - (top - 0.35) / height,
+                                    wspace=0.03, hspace=0.09)
+        for place, time in zip(((0, 0), (0, 1), (1, 0), (1, 1)), snapshot_times(run, times)):
+            axis = figure.add_subplot(upper[place])
+            frame = run.frame(time)
+            scale_bar(axis, scene.draw(axis, frame, width=0.8))
+            axis.set_title(f"t = {run.time[frame]:.3g} s", y=0.96)
+        axis = figure.add_subplot(upper[:, 2:])
+        scale_bar(axis, scene.draw(axis, -1, scene.camera(-1, close_up=True), width=1.6))
+        axis.set_title(f"the end, t = {run.time[-1]:.3g} s", y=0.98)
+        if scene.largest_tension > 0:
+            tension_legend(figure, (0.80, 1 - (top - 0.15) / height, 0.16, 0.08 / height), scene.largest_tension)
+    if rows:
+        lower = figure.add_gridspec(rows, 4, left=0.05, right=0.955, top=1 - (top + 0.55) / height, bottom=0.5 / height,
+                                    wspace=0.32, hspace=0.5)
+        for number, draw in enumerate(chosen):
+            axis = figure.add_subplot(lower[number // 4, number % 4])
+            draw(axis, run)
+            mark_contact(axis, run)
+            if number >= len(chosen) - 4:
+                axis.set_xlabel("time [s]")
+    return figure
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("run", help="result file of castnet run")
+    parser.add_argument("-o", "--output", help="picture to write (default: the run's name with .png)")
+    parser.add_argument("--times", type=float, nargs=4, metavar="T", help="times of the four snapshots [s]")
+    arguments = parser.parse_args()
+    try:
+        run = Run(arguments.run)
+        picture = Path(arguments.output or run.path.with_name(run.name + ".png"))
+        figure = plot_run(run, arguments.times)
+        figure.savefig(picture)
+    except (OSError, ValueError) as problem:
+        print(f"plot_run: {problem}", file=sys.stderr)
+        return 2
+    print(picture)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
