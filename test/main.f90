@@ -1,5 +1,6 @@
 !> Every unit and verification test. One line per suite; `fpm @check -- contact` filters.
 program main
+  use test_contact, only: run_test_contact
   use test_convex_hull, only: run_test_convex_hull
   use test_diagnostics, only: run_test_diagnostics
   use test_perturb, only: run_test_perturb
@@ -8,7 +9,9 @@ program main
   use test_shape, only: run_test_shape
   use test_text, only: run_test_text
   use testing, only: finish
+  use verify_contact, only: run_verify_contact
   implicit none
+  call run_test_contact()
   call run_test_convex_hull()
   call run_test_diagnostics()
   call run_test_perturb()
@@ -16,5 +19,6 @@ program main
   call run_test_run_writer()
   call run_test_shape()
   call run_test_text()
+  call run_verify_contact()
   call finish()
 end program main

@@ -1,0 +1,100 @@
+!> Which nodes might touch the body, on two levels (Shan, Guo, Gill 2018, figure 4):
+!> the net's box against the body's; then every node against the body's box in body
+!> axes. What comes out are candidates in body axes, for the exact distance.
+module castnet_broad_phase
+  use castnet_kinds, only: wp
+  use castnet_contact_list, only: lane
+  implicit none
+  private
+  public :: net_box, boxes_apart, into_body_axes, outside_box, parallel_nodes
+
+  !> Nodes from which on a thread each is worth a parallel region: one pass costs about
+  !> 1 ns a node, a region some microseconds when the machine is shared.
+  integer, parameter :: parallel_nodes = 20000
+
+contains
+
+  !> Axis-parallel box of the first n nodes [m].
+  pure subroutine net_box(n, n_pad, x, lower, upper)
+    integer, intent(in) :: n, n_pad
+    real(wp), intent(in) :: x(n_pad, 3)        !! node positions, inertial [m]
+    real(wp), intent(out) :: lower(3), upper(3)
+    real(wp) :: least(lane), most(lane)
+    integer :: c, k, l, i
+    do c = 1, 3
+      least = x(1, c)
+      most = x(1, c)
+      do k = 0, n - lane, lane
+        do l = 1, lane
+          least(l) = merge(x(k + l, c), least(l), x(k + l, c) < least(l))
+          most(l) = merge(x(k + l, c), most(l), x(k + l, c) > most(l))
+        end do
+      end do
+      do i = (n/lane)*lane + 1, n
+        least(1) = min(least(1), x(i, c))
+        most(1) = max(most(1), x(i, c))
+      end do
+      lower(c) = minval(least)
+      upper(c) = maxval(most)
+    end do
+  end subroutine net_box
+
+  !> Is the net's box clear of a ball about the body's centre of mass?
+  pure logical function boxes_apart(lower, upper, centre, radius)
+    real(wp), intent(in) :: lower(3), upper(3), centre(3)
+    real(wp), intent(in) :: radius  !! bounding radius and contact threshold together [m]
+    boxes_apart = any(lower > centre + radius) .or. any(upper < centre - radius)
+  end function boxes_apart
+
+  !> Node positions in body axes, y = R^T (x - centre), and how far outside of the box
+  !> |y - middle| <= half each one is, along the worst axis (negative: inside).
+  subroutine into_body_axes(n, n_pad, x, centre, r, middle, half, y, outside)
+    integer, intent(in) :: n, n_pad
+    real(wp), intent(in) :: x(n_pad, 3), centre(3), r(3, 3) !! inertial [m], body to inertial
+    real(wp), intent(in) :: middle(3), half(3)              !! the body's box, body axes [m]
+    real(wp), intent(inout) :: y(n_pad, 3), outside(n_pad)  !! [m]
+    integer, parameter :: chunk = 4096
+    integer :: first
+    if (n < parallel_nodes) then
+      call turn_nodes(1, n, n_pad, x, centre, r, middle, half, y, outside)
+    else
+      !$omp parallel do default(none) schedule(static) private(first) &
+      !$omp shared(n, n_pad, x, centre, r, middle, half, y, outside)
+      do first = 1, n, chunk
+        call turn_nodes(first, min(n, first + chunk - 1), n_pad, x, centre, r, middle, half, y, outside)
+      end do
+      !$omp end parallel do
+    end if
+  end subroutine into_body_axes
+
+  pure subroutine turn_nodes(first, last, n_pad, x, centre, r, middle, half, y, outside)
+    integer, intent(in) :: first, last, n_pad
+    real(wp), intent(in) :: x(n_pad, 3), centre(3), r(3, 3), middle(3), half(3)
+    real(wp), intent(inout) :: y(n_pad, 3), outside(n_pad)
+    real(wp) :: dx, dy, dz, u, v, w
+    integer :: i
+    do i = first, last
+      dx = x(i, 1) - centre(1)
+      dy = x(i, 2) - centre(2)
+      dz = x(i, 3) - centre(3)
+      u = r(1, 1)*dx + r(2, 1)*dy + r(3, 1)*dz
+      v = r(1, 2)*dx + r(2, 2)*dy + r(3, 2)*dz
+      w = r(1, 3)*dx + r(2, 3)*dy + r(3, 3)*dz
+      y(i, 1) = u
+      y(i, 2) = v
+      y(i, 3) = w
+      u = abs(u - middle(1)) - half(1)
+      v = abs(v - middle(2)) - half(2)
+      w = abs(w - middle(3)) - half(3)
+      v = merge(u, v, u > v)
+      outside(i) = merge(v, w, v > w)
+    end do
+  end subroutine turn_nodes
+
+  !> How far a box of points is outside of the body's box along the worst axis [m].
+  pure real(wp) function outside_box(lower, upper, middle, half)
+    real(wp), intent(in) :: lower(3), upper(3), middle(3), half(3)
+    outside_box = maxval(max(lower - middle, middle - upper) - half)
+  end function outside_box
+
+end module castnet_broad_phase

@@ -1,0 +1,285 @@
+!> Contact at the end of a time step (the lower half of the paper's figure 3): detect,
+!> find the impulses, change velocities, put sunken nodes back, keep the books.
+module castnet_contact_event
+  use castnet_kinds, only: wp, i8
+  use castnet_error, only: error_t
+  use castnet_model, only: model_t, law_impulse
+  use castnet_state, only: state_t, impulse_bins, impulse_bin_low, impulse_bins_per_decade
+  use castnet_rotation, only: rotation_matrix, congruent, multiply, multiply_transposed, &
+                              quaternion_product, quaternion_from_rotation_vector, normalise_quaternion
+  use castnet_shape, only: shape_bounds, shape_bounding_radius, signed_distance
+  use castnet_contact_list, only: contact_list_t, body_inertia_t, impulse_report_t, reserve_contacts, lane
+  use castnet_broad_phase, only: net_box, boxes_apart, into_body_axes
+  use castnet_narrow_phase, only: candidates_t, reserve_candidates, select_candidates, measure_gaps, &
+                                  append_node_contacts, set_velocities
+  use castnet_impulse_solver, only: impulse_problem_t, reserve_problem, twist_of_impulses
+  use castnet_contact_response, only: resolve_contacts, resolve_depths
+  use castnet_contact_projection, only: cable_incidence_t, new_incidence, energy_of_moved_cables, move_nodes
+  use castnet_contact_horizon, only: earliest_contact_time
+  implicit none
+  private
+  public :: contact_work_t, new_contact_work, handle_contacts, detect_contacts, body_inertia
+
+  !> Steps between two looks at how long nothing can touch. By the step's number, not by
+  !> a counter of ours, so that a restarted run is the same.
+  integer(i8), parameter :: horizon_stride = 16
+  integer, parameter :: max_projection = 4
+  !> Depth that is left after a projection and not worth another one, of the threshold [-].
+  real(wp), parameter :: projection_tolerance = 1.0e-6_wp
+
+  !> Scratch of contact handling, allocated once.
+  type :: contact_work_t
+    logical :: acted = .false.                 !! the last call changed velocities or positions
+    logical :: near = .false.                  !! the last call had candidates; saves the box test
+    type(contact_list_t) :: list
+    type(candidates_t) :: candidates
+    type(impulse_problem_t) :: problem
+    type(cable_incidence_t) :: incidence
+    type(impulse_report_t) :: report
+    real(wp), allocatable :: y(:, :)           !! (n_pad,3) nodes in body axes [m]
+    real(wp), allocatable :: outside(:)        !! (n_pad) of the body's box [m]
+    real(wp) :: middle(3) = 0.0_wp             !! of the body's box, body axes [m]
+    real(wp) :: half(3) = 0.0_wp               !! its half edges [m]
+    real(wp) :: radius = 0.0_wp                !! the body's bounding radius [m]
+  end type contact_work_t
+
+contains
+
+  !> Allocate the scratch of one run.
+  subroutine new_contact_work(work, model)
+    type(contact_work_t), intent(out) :: work
+    type(model_t), intent(in) :: model
+    real(wp) :: lower(3), upper(3)
+    if (.not. is_modelled(model)) return
+    call reserve_contacts(work%list, model%net%n_node)
+    call reserve_problem(work%problem, work%list%capacity)
+    call reserve_candidates(work%candidates, model%net%n_node)
+    call new_incidence(work%incidence, model%net)
+    allocate (work%y(model%net%n_pad, 3), work%outside(model%net%n_pad), source=0.0_wp)
+    call shape_bounds(model%target%shape, lower, upper)
+    work%middle = 0.5_wp*(lower + upper)
+    work%half = 0.5_wp*(upper - lower)
+    work%radius = shape_bounding_radius(model%target%shape)
+  end subroutine new_contact_work
+
+  !> Is there anything for impulses to do?
+  pure logical function is_modelled(model)
+    type(model_t), intent(in) :: model
+    is_modelled = allocated(model%net) .and. allocated(model%target) .and. allocated(model%contact)
+    if (is_modelled) is_modelled = model%contact%law == law_impulse .and. model%net%n_node > 0
+  end function is_modelled
+
+  !> Contact at the end of a step: impulses on node velocities and the target's twist, in
+  !> push_only also sunken nodes back to the surface; ledger, tally, histogram and first
+  !> contact. Costs a comparison while nothing can touch. No allocation.
+  subroutine handle_contacts(model, state, work, error)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(inout) :: state
+    type(contact_work_t), intent(inout) :: work
+    type(error_t), allocatable, intent(inout) :: error
+    real(wp) :: r(3, 3)
+    work%acted = .false.
+    if (.not. is_modelled(model)) return
+    if (state%time < state%skip_contact_until) return
+    call detect_contacts(model, state, work, r)
+    if (.not. work%near) then
+      if (mod(state%step, horizon_stride) == 0_i8) state%skip_contact_until = earliest_contact_time(model, state)
+      return
+    end if
+    if (work%list%n == 0) return
+    call exchange_impulses(model, state, work, r)
+    if (model%contact%push_only) then
+      call project_positions(model, state, work, r)
+    else
+      state%tally%deepest_penetration = max(state%tally%deepest_penetration, -minval(work%list%gap(1:work%list%n)))
+    end if
+  end subroutine handle_contacts
+
+  !> Fill `work%list` with every contact of this instant; `r` is the target's attitude.
+  subroutine detect_contacts(model, state, work, r)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(in) :: state
+    type(contact_work_t), intent(inout) :: work
+    real(wp), intent(out) :: r(3, 3)
+    real(wp) :: lower(3), upper(3), rate(3)
+    work%list%n = 0
+    r = 0.0_wp
+    associate (net => model%net, body => state%target, threshold => model%contact%threshold)
+      if (.not. work%near) then
+        call net_box(net%n_node, net%n_pad, state%node_position, lower, upper)
+        if (boxes_apart(lower, upper, body%position, work%radius + threshold)) return
+      end if
+      r = rotation_matrix(body%attitude)
+      call into_body_axes(net%n_node, net%n_pad, state%node_position, body%position, r, work%middle, work%half, &
+                          work%y, work%outside)
+      call select_candidates(net%n_node, net%n_pad, work%y, work%outside, threshold, work%candidates)
+      work%near = work%candidates%n > 0
+      if (.not. work%near) return
+      call measure_gaps(model%target%shape, work%candidates)
+      call append_node_contacts(work%candidates, threshold, net%n_pad, state%node_position, net%inverse_mass, &
+                                body%position, r, model%target%fixed, work%list)
+      if (work%list%n == 0) return
+      rate = multiply(r, body%angular_velocity)
+      ! Against the frame: its rate is (0, -n, 0).
+      rate(2) = rate(2) + model%orbit_rate
+      call set_velocities(net%n_pad, state%node_velocity, body%velocity, rate, work%list)
+    end associate
+  end subroutine detect_contacts
+
+  !> The target's inertia in inertial axes.
+  pure function body_inertia(model, r) result(body)
+    type(model_t), intent(in) :: model
+    real(wp), intent(in) :: r(3, 3)
+    type(body_inertia_t) :: body
+    if (model%target%fixed) return
+    body%free = .true.
+    body%mass = model%target%mass
+    body%inverse_mass = model%target%inverse_mass
+    body%inertia = congruent(r, model%target%inertia)
+    body%inverse_inertia = congruent(r, model%target%inverse_inertia)
+  end function body_inertia
+
+  !> Impulses of the list, and what they do.
+  subroutine exchange_impulses(model, state, work, r)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(inout) :: state
+    type(contact_work_t), intent(inout) :: work
+    real(wp), intent(in) :: r(3, 3)
+    type(body_inertia_t) :: body
+    real(wp) :: twist(6)
+    body = body_inertia(model, r)
+    call resolve_contacts(model%contact, body, work%list, work%problem, work%report)
+    call kick_nodes(model%net%n_pad, state%node_velocity, work%list)
+    twist = twist_of_impulses(work%problem, body)
+    if (body%free) then
+      state%target%velocity = state%target%velocity + twist(1:3)
+      state%target%angular_velocity = state%target%angular_velocity + multiply_transposed(r, twist(4:6))
+    end if
+    call keep_books(model, state, work)
+  end subroutine exchange_impulses
+
+  !> Velocities of the nodes after the impulses (equation 6).
+  pure subroutine kick_nodes(n_pad, v, list)
+    integer, intent(in) :: n_pad
+    real(wp), intent(inout) :: v(n_pad, 3)
+    type(contact_list_t), intent(in) :: list
+    real(wp) :: p, q, push
+    integer :: k, a, b, c
+    do k = 1, list%n
+      a = list%node_a(k)
+      b = list%node_b(k)
+      p = list%weight_a(k)*list%inverse_mass_a(k)
+      q = list%share(k)*list%inverse_mass_b(k)
+      do c = 1, 3
+        push = list%impulse(k)*list%normal(k, c) + list%friction_impulse(k, c)
+        v(a, c) = v(a, c) + p*push
+        v(b, c) = v(b, c) + q*push
+      end do
+    end do
+  end subroutine kick_nodes
+
+  !> Ledger, tally, histogram, first contact.
+  subroutine keep_books(model, state, work)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(inout) :: state
+    type(contact_work_t), intent(inout) :: work
+    real(wp) :: j
+    logical :: first_one
+    integer :: k, bin
+    associate (tally => state%tally, list => work%list)
+      tally%contact_residual = max(tally%contact_residual, work%report%residual)
+      tally%contact_iterations = max(tally%contact_iterations, work%report%iterations)
+      do k = 1, list%n
+        j = list%impulse(k)
+        if (.not. abs(j) > 0.0_wp) cycle
+        work%acted = .true.
+        tally%contacts = tally%contacts + 1_i8
+        if (model%net%is_bullet(list%node_a(k)) .or. model%net%is_bullet(list%node_b(k))) then
+          tally%max_bullet_impulse = max(tally%max_bullet_impulse, j)
+          cycle
+        end if
+        ! Until the first impulse of a row all three are zero together.
+        first_one = .not. (abs(tally%impulse_sum) > 0.0_wp .or. abs(tally%max_impulse) > 0.0_wp &
+                           .or. abs(tally%min_impulse) > 0.0_wp)
+        tally%min_impulse = merge(j, min(tally%min_impulse, j), first_one)
+        tally%max_impulse = max(tally%max_impulse, j)
+        tally%impulse_sum = tally%impulse_sum + j
+        if (allocated(state%impulse_histogram)) then
+          bin = 1 + floor(impulse_bins_per_decade*log10(abs(j)/impulse_bin_low))
+          bin = min(impulse_bins, max(1, bin))
+          state%impulse_histogram(bin) = state%impulse_histogram(bin) + 1_i8
+        end if
+      end do
+      if (work%acted) then
+        state%ledger%contact_loss = state%ledger%contact_loss + work%report%energy_loss
+        if (state%first_contact < 0.0_wp) state%first_contact = state%time
+      end if
+    end associate
+  end subroutine keep_books
+
+  !> Sunken points back onto the surface, and the elastic energy that it changes. Flat
+  !> faces need one pass; over edges the linearised surface is corrected by another.
+  subroutine project_positions(model, state, work, r)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(inout) :: state
+    type(contact_work_t), intent(inout) :: work
+    real(wp), intent(inout) :: r(3, 3)
+    type(body_inertia_t) :: body
+    real(wp) :: before, after, shift(6), deepest
+    integer :: pass
+    deepest = -minval(work%list%gap(1:work%list%n))
+    if (deepest > 0.0_wp) then
+      do pass = 1, max_projection
+        body = body_inertia(model, r)
+        call resolve_depths(body, work%list, work%problem)
+        associate (net => model%net)
+          call energy_of_moved_cables(net, net%n_pad, state%node_position, work%list, work%problem%impulse, &
+                                      work%incidence, before)
+          call move_nodes(net%n_pad, state%node_position, work%list, work%problem%impulse)
+          call energy_of_moved_cables(net, net%n_pad, state%node_position, work%list, work%problem%impulse, &
+                                      work%incidence, after)
+        end associate
+        state%ledger%projection_work = state%ledger%projection_work + (after - before)
+        if (body%free) then
+          shift = twist_of_impulses(work%problem, body)
+          state%target%position = state%target%position + shift(1:3)
+          state%target%attitude = normalise_quaternion(quaternion_product( &
+                                  quaternion_from_rotation_vector(shift(4:6)), state%target%attitude))
+          r = rotation_matrix(state%target%attitude)
+        end if
+        work%acted = .true.
+        call remeasure(model, state, work, r)
+        deepest = -minval(work%list%gap(1:work%list%n))
+        if (deepest <= projection_tolerance*model%contact%threshold) exit
+      end do
+    end if
+    state%tally%deepest_penetration = max(state%tally%deepest_penetration, deepest)
+  end subroutine project_positions
+
+  !> Gaps, normals and arms of the list after its points have moved.
+  subroutine remeasure(model, state, work, r)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(in) :: state
+    type(contact_work_t), intent(inout) :: work
+    real(wp), intent(in) :: r(3, 3)
+    real(wp) :: arm(3)
+    integer :: k, a, b, c
+    associate (list => work%list, near => work%candidates, x => state%node_position)
+      do k = 1, list%n
+        a = list%node_a(k)
+        b = list%node_b(k)
+        do c = 1, 3
+          arm(c) = list%weight_a(k)*x(a, c) + list%share(k)*x(b, c) - state%target%position(c)
+          list%arm(k, c) = arm(c)
+        end do
+        near%point(:, k) = multiply_transposed(r, arm)
+      end do
+      call signed_distance(model%target%shape, list%n, near%point, near%distance, near%normal)
+      do k = 1, list%n
+        list%gap(k) = near%distance(k)
+        list%normal(k, :) = multiply(r, near%normal(:, k))
+      end do
+    end associate
+  end subroutine remeasure
+
+end module castnet_contact_event

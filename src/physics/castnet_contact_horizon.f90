@@ -1,0 +1,166 @@
+!> How long nothing can touch: a proven bound, so that most of a flight needs no
+!> contact detection at all.
+!>
+!> Between contacts, and with no winch pulling, the net's energy relative to its own
+!> centre of mass, E = sum m_i |u_i|^2/2 + elastic, never rises: tensions are internal,
+!> damping takes energy, the clamped law too, and uniform gravity is the same for every
+!> node. So node i never moves faster than w_i = sqrt(2 E/m_i) against the centre of
+!> mass, and after a time t it lies within w_i t of x_i + V t + g t^2/2. The target's
+!> centre of mass lies at x_O + v_O t + (g + F/m_O) t^2/2 exactly, and the target within
+!> its bounding radius R of that. With d_i = |x_i - x_O| - R - threshold, nothing touches
+!> before the least t that solves d_i = (|V - v_O| + w_i) t + a t^2/2, a being the
+!> difference of the two accelerations. A point of a cable is a mean of its two nodes and
+!> no faster than the faster one, so the same holds with the segment's distance.
+!>
+!> With fixed nodes the net's momentum is not kept: then V = 0 and E is taken at rest,
+!> where the supports do no work; gravity would feed that energy, so there is no bound
+!> with both. In an orbital frame and with a winch that may pull there is none either.
+!>
+!> The exact flow obeys the bound; the integrator adds its own error when a slack cable
+!> snaps taut, for which E is taken `energy_margin` times larger.
+module castnet_contact_horizon
+  use castnet_kinds, only: wp
+  use castnet_model, only: model_t, trigger_contact, trigger_time, law_impulse
+  use castnet_state, only: state_t
+  use castnet_net, only: net_t
+  use castnet_shape, only: shape_bounding_radius
+  implicit none
+  private
+  public :: earliest_contact_time
+
+  real(wp), parameter :: energy_margin = 1.5_wp
+
+contains
+
+  !> Nothing can touch before this time; `state%time` when nothing can be said [s].
+  function earliest_contact_time(model, state) result(time)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(in) :: state
+    real(wp) :: time
+    real(wp) :: drift(3), energy, offset(3), radius, speed, reach, gap, wait
+    integer :: i, a, b
+    time = state%time
+    if (.not. bound_exists(model, state)) return
+    call net_motion(model%net, model%net%n_pad, state%node_position, state%node_velocity, drift, energy)
+    speed = length(drift - state%target%velocity)
+    offset = relative_acceleration(model)
+    radius = shape_bounding_radius(model%target%shape) + model%contact%threshold
+    wait = huge(1.0_wp)
+    associate (net => model%net, x => state%node_position, centre => state%target%position)
+      do i = 1, net%n_node
+        gap = length([x(i, 1) - centre(1), x(i, 2) - centre(2), x(i, 3) - centre(3)]) - radius
+        reach = speed + sqrt(2.0_wp*energy*net%inverse_mass(i))
+        wait = min(wait, time_to_cover(gap, reach, length(offset)))
+      end do
+      if (model%contact%detect_cables) then
+        do i = 1, net%n_cable
+          a = net%cable_nodes(1, i)
+          b = net%cable_nodes(2, i)
+          gap = distance_to_segment(centre, x(a, :), x(b, :)) - radius
+          reach = speed + sqrt(2.0_wp*energy*max(net%inverse_mass(a), net%inverse_mass(b)))
+          wait = min(wait, time_to_cover(gap, reach, length(offset)))
+        end do
+      end if
+    end associate
+    ! A hair early: the bound's own rounding.
+    time = state%time + wait*(1.0_wp - 1.0e-9_wp)
+    if (allocated(model%closing)) then
+      if (model%closing%trigger == trigger_time) time = min(time, max(state%time, model%closing%delay))
+    end if
+  end function earliest_contact_time
+
+  !> Does the net's energy keep from rising until something touches?
+  pure logical function bound_exists(model, state)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(in) :: state
+    bound_exists = .not. abs(model%orbit_rate) > 0.0_wp .and. model%contact%law == law_impulse
+    if (any(model%net%fixed) .and. any(abs(model%gravity) > 0.0_wp)) bound_exists = .false.
+    if (.not. allocated(model%closing)) return
+    select case (model%closing%trigger)
+    case (trigger_contact)
+      ! The trigger is the very event that is being bounded, until it has happened once.
+      if (state%first_contact >= 0.0_wp) bound_exists = .false.
+    case (trigger_time)
+      if (state%time >= model%closing%delay) bound_exists = .false.
+    case default
+      bound_exists = .false.
+    end select
+    if (allocated(state%closing)) then
+      if (state%closing%triggered) bound_exists = .false.
+    end if
+  end function bound_exists
+
+  !> Velocity of the net's frame of least energy, and the energy in it.
+  pure subroutine net_motion(net, n_pad, x, v, drift, energy)
+    type(net_t), intent(in) :: net
+    integer, intent(in) :: n_pad
+    real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)
+    real(wp), intent(out) :: drift(3), energy
+    real(wp) :: mass, stretch
+    integer :: i, a, b
+    drift = 0.0_wp
+    if (.not. any(net%fixed)) then
+      mass = 0.0_wp
+      do i = 1, net%n_node
+        mass = mass + net%node_mass(i)
+        drift(1) = drift(1) + net%node_mass(i)*v(i, 1)
+        drift(2) = drift(2) + net%node_mass(i)*v(i, 2)
+        drift(3) = drift(3) + net%node_mass(i)*v(i, 3)
+      end do
+      drift = drift/mass
+    end if
+    energy = 0.0_wp
+    do i = 1, net%n_node
+      if (net%fixed(i)) cycle
+      energy = energy + 0.5_wp*net%node_mass(i)*((v(i, 1) - drift(1))**2 + (v(i, 2) - drift(2))**2 + (v(i, 3) - drift(3))**2)
+    end do
+    do i = 1, net%n_cable
+      a = net%cable_nodes(1, i)
+      b = net%cable_nodes(2, i)
+      stretch = max(0.0_wp, length([x(b, 1) - x(a, 1), x(b, 2) - x(a, 2), x(b, 3) - x(a, 3)]) - net%natural_length(i))
+      energy = energy + 0.5_wp*net%axial_stiffness(i)/net%natural_length(i)*stretch*stretch
+    end do
+    energy = energy_margin*energy
+  end subroutine net_motion
+
+  !> Acceleration of the target's centre of mass against the net's.
+  pure function relative_acceleration(model) result(a)
+    type(model_t), intent(in) :: model
+    real(wp) :: a(3)
+    a = 0.0_wp
+    if (model%target%fixed) then
+      a = -model%gravity
+    else
+      a = model%target%external_force*model%target%inverse_mass
+      ! Without gravity the fixed nodes' net stays where it is, and so does V = 0.
+    end if
+  end function relative_acceleration
+
+  !> The t of gap = speed t + acceleration t^2/2; 0 when already within reach.
+  pure real(wp) function time_to_cover(gap, speed, acceleration) result(t)
+    real(wp), intent(in) :: gap, speed, acceleration
+    real(wp) :: denominator
+    t = 0.0_wp
+    if (.not. gap > 0.0_wp) return
+    denominator = speed + sqrt(speed*speed + 2.0_wp*acceleration*gap)
+    t = 1.0e30_wp
+    if (denominator > gap*1.0e-29_wp) t = 2.0_wp*gap/denominator
+  end function time_to_cover
+
+  pure real(wp) function distance_to_segment(p, a, b) result(d)
+    real(wp), intent(in) :: p(3), a(3), b(3)
+    real(wp) :: u(3), q(3), s, square
+    u = b - a
+    q = p - a
+    square = u(1)*u(1) + u(2)*u(2) + u(3)*u(3)
+    s = q(1)*u(1) + q(2)*u(2) + q(3)*u(3)
+    s = max(0.0_wp, min(1.0_wp, s/max(square, tiny(1.0_wp))))
+    d = length(q - s*u)
+  end function distance_to_segment
+
+  pure real(wp) function length(v)
+    real(wp), intent(in) :: v(3)
+    length = sqrt(v(1)*v(1) + v(2)*v(2) + v(3)*v(3))
+  end function length
+
+end module castnet_contact_horizon

@@ -1,0 +1,167 @@
+!> The paper's own way (equations 13 to 17): build the dense matrix M of all contacts
+!> and let LAPACK solve M j = g. For comparison with the reduced form; it allocates
+!> its matrix at every call and costs O(n^3).
+!>
+!> With `push_only` the complementarity problem is solved by block principal pivoting
+!> (Judice and Pires 1994), which ends for every symmetric positive definite M.
+module castnet_dense_impulse
+  use, intrinsic :: ieee_exceptions, only: ieee_all, ieee_get_halting_mode, ieee_set_halting_mode, ieee_set_flag
+  use castnet_kinds, only: wp
+  use castnet_contact_list, only: contact_list_t, body_inertia_t
+  use castnet_impulse_solver, only: impulse_problem_t, inverse_inertia_times, measure, pad
+  implicit none
+  private
+  public :: solve_dense, delassus_matrix
+
+  interface
+    subroutine dgesv(n, nrhs, a, lda, ipiv, b, ldb, info)
+      import :: wp
+      integer, intent(in) :: n, nrhs, lda, ldb
+      real(wp), intent(inout) :: a(lda, *), b(ldb, *)
+      integer, intent(out) :: ipiv(*)
+      integer, intent(out) :: info
+    end subroutine dgesv
+  end interface
+
+contains
+
+  !> M of equation 15, with the coupling of contacts that share a node:
+  !> M = C W C^T + B H B^T [1/kg].
+  function delassus_matrix(list, body, row) result(m)
+    type(contact_list_t), intent(in) :: list
+    type(body_inertia_t), intent(in) :: body
+    real(wp), intent(in) :: row(:, :)  !! (>= n,6) [n, r x n]
+    real(wp), allocatable :: m(:, :)
+    real(wp) :: h(6), b(6), cosine
+    integer :: i, k
+    allocate (m(list%n, list%n))
+    do k = 1, list%n
+      b = row(k, :)
+      h = inverse_inertia_times(body, b)
+      do i = 1, list%n
+        cosine = list%normal(i, 1)*list%normal(k, 1) + list%normal(i, 2)*list%normal(k, 2) + list%normal(i, 3)*list%normal(k, 3)
+        m(i, k) = row(i, 1)*h(1) + row(i, 2)*h(2) + row(i, 3)*h(3) + row(i, 4)*h(4) + row(i, 5)*h(5) + row(i, 6)*h(6) &
+                  + cosine*shared_mobility(list, i, k)
+      end do
+    end do
+  end function delassus_matrix
+
+  !> Velocity of contact point i per impulse at contact point k through common nodes [1/kg].
+  pure real(wp) function shared_mobility(list, i, k) result(mobility)
+    type(contact_list_t), intent(in) :: list
+    integer, intent(in) :: i, k
+    mobility = 0.0_wp
+    if (list%node_a(i) == list%node_a(k)) mobility = mobility + list%weight_a(i)*list%weight_a(k)*list%inverse_mass_a(i)
+    if (list%node_b(i) == list%node_b(k)) mobility = mobility + list%share(i)*list%share(k)*list%inverse_mass_b(i)
+    if (list%node_a(i) == list%node_b(k)) mobility = mobility + list%weight_a(i)*list%share(k)*list%inverse_mass_a(i)
+    if (list%node_b(i) == list%node_a(k)) mobility = mobility + list%share(i)*list%weight_a(k)*list%inverse_mass_a(k)
+  end function shared_mobility
+
+  !> Impulses of the whole list by dense algebra. `iterations` counts LAPACK solves.
+  subroutine solve_dense(problem, list, body, iterations, residual, converged)
+    type(impulse_problem_t), intent(inout) :: problem
+    type(contact_list_t), intent(in) :: list
+    type(body_inertia_t), intent(in) :: body
+    integer, intent(out) :: iterations
+    real(wp), intent(out) :: residual  !! largest violation of the contact conditions [m/s]
+    logical, intent(out) :: converged
+    real(wp), allocatable :: m(:, :), slack(:)
+    logical, allocatable :: pushes(:), wrong(:)
+    integer :: n, n_wrong, least, patience, last, n_lane
+    real(wp) :: largest
+    n = problem%n
+    call pad(problem, n_lane)
+    m = delassus_matrix(list, body, problem%row)
+    allocate (slack(n), wrong(n))
+    pushes = problem%weight(1:n) > 0.0_wp .and. (problem%need(1:n) > 0.0_wp .or. .not. problem%push_only)
+    least = n + 1
+    patience = 10
+    converged = .false.
+    largest = maxval(abs(problem%need(1:n)))
+    do iterations = 1, 50 + 10*n
+      call solve_on(m, pushes, problem%need(1:n), problem%impulse)
+      if (.not. problem%push_only) then
+        converged = .true.
+        exit
+      end if
+      call slacks(m, problem%impulse, problem%need, slack)
+      ! Below rounding neither sign is wrong; the impulse is clamped at the end.
+      wrong = merge(problem%impulse(1:n) < 0.0_wp, slack < -1.0e-13_wp*largest, pushes) .and. problem%weight(1:n) > 0.0_wp
+      n_wrong = count(wrong)
+      if (n_wrong == 0) then
+        converged = .true.
+        exit
+      end if
+      if (n_wrong < least) then
+        least = n_wrong
+        patience = 10
+      else if (patience > 0) then
+        patience = patience - 1
+      else
+        ! One at a time, the last first: Murty's rule, which cannot cycle.
+        last = findloc(wrong, .true., dim=1, back=.true.)
+        wrong = .false.
+        wrong(last) = .true.
+      end if
+      pushes = pushes .neqv. wrong
+    end do
+    if (problem%push_only) problem%impulse(1:n) = max(0.0_wp, problem%impulse(1:n))
+    call measure(problem, body, n_lane, residual)
+  end subroutine solve_dense
+
+  !> M_SS j_S = g_S on the chosen contacts, zero elsewhere. A singular M_SS (two nodes
+  !> and their cable on one face) is made regular by a hair on its diagonal, which
+  !> moves the velocities by 1e-13 of themselves.
+  subroutine solve_on(m, chosen, need, impulse)
+    real(wp), intent(in) :: m(:, :), need(:)
+    logical, intent(in) :: chosen(:)
+    real(wp), intent(inout) :: impulse(:)
+    real(wp), allocatable :: a(:, :), b(:)
+    integer, allocatable :: set(:), pivot(:)
+    integer :: i, k, info
+    set = pack([(i, i=1, size(chosen))], chosen)
+    k = size(set)
+    impulse(1:size(chosen)) = 0.0_wp
+    if (k == 0) return
+    allocate (a(k, k), b(k), pivot(k))
+    a(:, :) = m(set, set)
+    b(:) = need(set)
+    call quiet_dgesv(k, a, pivot, b, info)
+    if (info /= 0) then
+      a(:, :) = m(set, set)
+      b(:) = need(set)
+      do i = 1, k
+        a(i, i) = a(i, i)*(1.0_wp + 1.0e-13_wp)
+      end do
+      call quiet_dgesv(k, a, pivot, b, info)
+    end if
+    if (info == 0) impulse(set) = b
+  end subroutine solve_on
+
+  subroutine slacks(m, impulse, need, slack)
+    real(wp), intent(in) :: m(:, :), impulse(:), need(:)
+    real(wp), intent(out) :: slack(:)
+    integer :: i
+    slack = -need(1:size(slack))
+    do i = 1, size(slack)
+      slack = slack + m(:, i)*impulse(i)
+    end do
+  end subroutine slacks
+
+  !> LAPACK may raise flags that the check build would halt on.
+  subroutine quiet_dgesv(n, a, pivot, b, info)
+    integer, intent(in) :: n
+    real(wp), intent(inout) :: a(n, n), b(n)
+    integer, intent(out) :: pivot(n), info
+    logical :: halting(size(ieee_all))
+    real(wp) :: right(n, 1)
+    right(:, 1) = b
+    call ieee_get_halting_mode(ieee_all, halting)
+    call ieee_set_halting_mode(ieee_all, .false.)
+    call dgesv(n, 1, a, n, pivot, right, n, info)
+    call ieee_set_flag(ieee_all, .false.)
+    call ieee_set_halting_mode(ieee_all, halting)
+    b = right(:, 1)
+  end subroutine quiet_dgesv
+
+end module castnet_dense_impulse
