@@ -10,6 +10,7 @@ program main
   use test_text, only: run_test_text
   use testing, only: finish
   use verify_contact, only: run_verify_contact
+  use verify_torque_free, only: run_verify_torque_free
   implicit none
   call run_test_contact()
   call run_test_convex_hull()
@@ -20,5 +21,6 @@ program main
   call run_test_shape()
   call run_test_text()
   call run_verify_contact()
+  call run_verify_torque_free()
   call finish()
 end program main
