@@ -1,0 +1,203 @@
+!> The run: step, guard, observe, until the end. One object holds it all, so that a study
+!> can keep many side by side, each on its own thread; nothing here touches a file.
+module castnet_simulation
+  use castnet_kinds, only: wp, i8
+  use castnet_capture_measures, only: measure_capture
+  use castnet_diagnostics, only: record_history, impulse_percentiles, check_finite, net_kinetic_energy, &
+                                 target_kinetic_energy, elastic_energy
+  use castnet_error, only: error_t, fail, exit_numerical
+  use castnet_model, only: model_t
+  use castnet_model_builder, only: file_net_t
+  use castnet_record, only: history_row_t, summary_t, thresholds_t, verdict_captured
+  use castnet_scene, only: scene_t
+  use castnet_setup, only: step_report_t, set_up
+  use castnet_state, only: state_t, tally_t
+  use castnet_stepper, only: work_t, advance
+  use castnet_text, only: to_text
+  use, intrinsic :: ieee_arithmetic, only: ieee_value, ieee_quiet_nan
+  implicit none
+  private
+  public :: simulation_t, due_t, start, run_to_next, is_finished, take_measures, take_row, summarise
+
+  !> Steps between two looks at the state's health.
+  integer, parameter :: guard_interval = 64
+  !> Energy above this multiple of all that was put in is an explosion. A sound run never
+  !> gains more than rounding; an unstable one passes any factor within a few dozen steps.
+  real(wp), parameter :: explosion = 1.2_wp
+
+  type :: simulation_t
+    type(model_t) :: model
+    type(state_t) :: state
+    type(work_t) :: work
+    type(step_report_t) :: report
+    type(thresholds_t) :: thresholds
+    real(wp) :: frame_interval = 0.0_wp         !! [s]
+    real(wp) :: history_interval = 0.0_wp       !! [s]
+    real(wp), allocatable :: verdict_times(:)   !! ascending [s]
+    real(wp) :: energy_start = 0.0_wp           !! kinetic and elastic at t = 0 [J]
+    integer(i8) :: last_step = 0                !! the first step at or after end_time
+  end type simulation_t
+
+  !> Which observations are due now.
+  type :: due_t
+    logical :: frame = .false., row = .false., verdict = .false.
+  end type due_t
+
+contains
+
+  !> Set up a run at t = 0. Errors: those of `set_up`.
+  subroutine start(sim, scene, n_thread, file_net, error)
+    type(simulation_t), intent(out) :: sim
+    type(scene_t), intent(in) :: scene
+    integer, intent(in) :: n_thread
+    type(file_net_t), allocatable, intent(inout) :: file_net
+    type(error_t), allocatable, intent(inout) :: error
+
+    call set_up(scene, n_thread, file_net, sim%model, sim%state, sim%work, sim%report, error)
+    if (allocated(error)) return
+    sim%frame_interval = scene%output%frame_interval
+    sim%history_interval = scene%output%history_interval
+    sim%verdict_times = scene%output%verdict_times
+    sim%energy_start = mechanical_energy(sim%model, sim%state)
+    sim%last_step = ceiling(sim%model%end_time/sim%model%step*(1.0_wp - 1.0e-12_wp), i8)
+  end subroutine start
+
+  !> Has the run reached its end?
+  pure logical function is_finished(sim)
+    type(simulation_t), intent(in) :: sim
+    is_finished = sim%state%step >= sim%last_step
+  end function is_finished
+
+  !> Step until something is due, the end, or `most_steps`. Errors: exit 3 when the state is
+  !> no longer sound.
+  subroutine run_to_next(sim, due, error, most_steps)
+    type(simulation_t), intent(inout) :: sim
+    type(due_t), intent(out) :: due
+    type(error_t), allocatable, intent(inout) :: error
+    integer, intent(in), optional :: most_steps
+    integer(i8) :: until
+
+    until = sim%last_step
+    until = min(until, step_at(sim, sim%state%schedule%frames*sim%frame_interval))
+    until = min(until, step_at(sim, sim%state%schedule%rows*sim%history_interval))
+    if (sim%state%schedule%verdicts < size(sim%verdict_times)) &
+      until = min(until, step_at(sim, sim%verdict_times(sim%state%schedule%verdicts + 1)))
+    if (present(most_steps)) until = min(until, sim%state%step + most_steps)
+
+    do while (sim%state%step < until)
+      call advance(sim%model, sim%state, sim%work, error)
+      if (allocated(error)) return
+      if (modulo(sim%state%step, int(guard_interval, i8)) == 0) then
+        call guard(sim, error)
+        if (allocated(error)) return
+      end if
+    end do
+    due = what_is_due(sim)
+    if (due%frame .or. due%verdict) call guard(sim, error)
+  end subroutine run_to_next
+
+  !> What is due at the present step. The end is due for everything.
+  pure function what_is_due(sim) result(due)
+    type(simulation_t), intent(in) :: sim
+    type(due_t) :: due
+    associate (state => sim%state)
+      due%frame = state%step >= step_at(sim, state%schedule%frames*sim%frame_interval) .or. is_finished(sim)
+      due%row = state%step >= step_at(sim, state%schedule%rows*sim%history_interval) .or. is_finished(sim)
+      due%verdict = .false.
+      if (state%schedule%verdicts < size(sim%verdict_times)) due%verdict = &
+          state%step >= step_at(sim, sim%verdict_times(state%schedule%verdicts + 1)) .or. is_finished(sim)
+    end associate
+  end function what_is_due
+
+  !> The first step at or after a time, to rounding.
+  pure integer(i8) function step_at(sim, time)
+    type(simulation_t), intent(in) :: sim
+    real(wp), intent(in) :: time
+    step_at = ceiling(time/sim%model%step*(1.0_wp - 1.0e-12_wp), i8)
+  end function step_at
+
+  !> Capture measures of every verdict that is due.
+  subroutine take_measures(sim)
+    type(simulation_t), intent(inout) :: sim
+    type(due_t) :: due
+    integer(i8) :: k
+    do
+      due = what_is_due(sim)
+      if (.not. due%verdict) exit
+      k = sim%state%schedule%verdicts + 1
+      sim%state%measures(k) = measure_capture(sim%model, sim%state, k == 1, sim%thresholds)
+      sim%state%schedule%verdicts = k
+    end do
+  end subroutine take_measures
+
+  !> The history row of now; the tally begins anew.
+  function take_row(sim) result(row)
+    type(simulation_t), intent(inout) :: sim
+    type(history_row_t) :: row
+    row = record_history(sim%model, sim%state)
+    sim%state%tally = tally_t()
+    do while (step_at(sim, sim%state%schedule%rows*sim%history_interval) <= sim%state%step)
+      sim%state%schedule%rows = sim%state%schedule%rows + 1
+    end do
+  end function take_row
+
+  !> What the whole run says.
+  function summarise(sim, wall_time) result(summary)
+    type(simulation_t), intent(in) :: sim
+    real(wp), intent(in) :: wall_time !! [s]
+    type(summary_t) :: summary
+    real(wp) :: nan
+
+    nan = ieee_value(nan, ieee_quiet_nan)
+    summary%thresholds = sim%thresholds
+    summary%measures = sim%state%measures(:sim%state%schedule%verdicts)
+    summary%captured = size(summary%measures) > 0 .and. all(summary%measures%verdict == verdict_captured)
+    if (allocated(sim%state%impulse_histogram)) summary%impulse_percentiles = impulse_percentiles(sim%state%impulse_histogram)
+    summary%first_contact = merge(sim%state%first_contact, nan, sim%state%first_contact >= 0.0_wp)
+    summary%closing_start = nan
+    if (allocated(sim%state%closing)) then
+      if (sim%state%closing%pulling) summary%closing_start = sim%state%closing%start_time
+    end if
+    summary%wall_time = wall_time
+    summary%steps = sim%state%step
+    summary%force_evaluations = sim%state%force_evaluations
+  end function summarise
+
+  !> Is every number finite, and the energy one that the run can have?
+  subroutine guard(sim, error)
+    type(simulation_t), intent(in) :: sim
+    type(error_t), allocatable, intent(inout) :: error
+    real(wp) :: energy, given
+    real(wp), allocatable :: speed(:)
+    integer :: node
+
+    call check_finite(sim%model, sim%state, error)
+    if (allocated(error) .or. .not. allocated(sim%model%net)) return
+    energy = mechanical_energy(sim%model, sim%state)
+    associate (ledger => sim%state%ledger)
+      given = sim%energy_start + max(0.0_wp, ledger%winch_work) + max(0.0_wp, ledger%projection_work) &
+              + max(0.0_wp, ledger%external_work)
+    end associate
+    if (energy <= explosion*given + tiny(1.0_wp)) return
+    if (any(sim%model%gravity /= 0.0_wp) .or. sim%model%orbit_rate /= 0.0_wp) return
+    associate (v => sim%state%node_velocity, n => sim%model%net%n_node)
+      speed = v(:n, 1)**2 + v(:n, 2)**2 + v(:n, 3)**2
+      node = maxloc(speed, dim=1)
+      call fail(error, exit_numerical, 'step '//to_text(sim%state%step)//', t = '//to_text(sim%state%time)// &
+                ' s: the energy has grown to '//to_text(energy)//' J where at most '//to_text(given)// &
+                ' J were put in; the fastest node is '//to_text(node - 1)//' (counted from 0) at '// &
+                to_text(sqrt(speed(node)))//' m/s; try a smaller time/step than '//to_text(sim%model%step)//' s')
+    end associate
+  end subroutine guard
+
+  !> Kinetic and elastic energy of net and target [J].
+  real(wp) function mechanical_energy(model, state) result(energy)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(in) :: state
+    energy = 0.0_wp
+    if (allocated(model%net)) energy = energy + net_kinetic_energy(model%net, state%node_velocity) &
+                                       + elastic_energy(model%net, state%node_position)
+    if (allocated(model%target)) energy = energy + target_kinetic_energy(model%target, state%target)
+  end function mechanical_energy
+
+end module castnet_simulation
