@@ -71,7 +71,7 @@ module castnet_state
     integer(i8) :: force_evaluations = 0
     real(wp), allocatable :: node_position(:, :)     !! (n_pad,3) inertial [m]
     real(wp), allocatable :: node_velocity(:, :)     !! (n_pad,3) [m/s]
-    real(wp), allocatable :: node_acceleration(:, :) !! (n_pad,3) of the last step, for methods that carry it [m/s2]
+    real(wp), allocatable :: velocity_ahead(:, :)    !! (n_pad,3) extrapolated to the next midpoint, method 'midpoint' only [m/s]
     type(body_state_t), allocatable :: target
     type(closing_state_t), allocatable :: closing
     type(ledger_t) :: ledger

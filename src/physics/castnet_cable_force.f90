@@ -183,23 +183,51 @@ contains
     integer, intent(in) :: begin, finish
     real(wp), intent(in) :: loose_force(plan%n_loose, 3)
     real(wp), intent(out) :: force(chunk_size, 3) !! [N]
-    integer :: c, d, lo, hi, o
+    integer :: c, d, m
 
+    m = finish - begin + 1
     do c = 1, 3
-      force(:, c) = 0.0_wp
-      do d = 1, plan%n_diagonal
-        o = plan%offset(d)
-        lo = max(begin, plan%first(d))
-        hi = min(finish, plan%last(d) + o)
-        if (hi < lo) cycle
-        call add_difference(hi - lo + 1, slab%force(lo, c, d), slab%force(lo - o, c, d), force(lo - begin + 1, c))
-      end do
+      select case (plan%n_diagonal)
+      case (0)
+        force(:m, c) = 0.0_wp
+      case (1)
+        call one_difference(m, slab%force(begin, c, 1), slab%force(begin - plan%offset(1), c, 1), force(1, c))
+      case default
+        call two_differences(m, slab%force(begin, c, 1), slab%force(begin - plan%offset(1), c, 1), &
+                             slab%force(begin, c, 2), slab%force(begin - plan%offset(2), c, 2), force(1, c))
+        do d = 3, plan%n_diagonal
+          if (begin > plan%last(d) + plan%offset(d) .or. finish < plan%first(d)) cycle
+          call add_difference(m, slab%force(begin, c, d), slab%force(begin - plan%offset(d), c, d), force(1, c))
+        end do
+      end select
     end do
     if (plan%n_loose > 0) call add_loose(plan, begin, finish, loose_force, force)
   end subroutine chunk_force
 
-  !> total = total + (away - back): cables that begin here pull forward, those that end
-  !> here pull back. Where no cable begins or ends, the stored force is zero.
+  !> total = away - back: cables that begin here pull forward, those that end here pull
+  !> back. Where no cable begins or ends, the stored force is zero.
+  pure subroutine one_difference(m, away, back, total)
+    integer, intent(in) :: m
+    real(wp), intent(in) :: away(m), back(m)
+    real(wp), intent(out) :: total(m)
+    integer :: k
+    do k = 1, m
+      total(k) = away(k) - back(k)
+    end do
+  end subroutine one_difference
+
+  !> total = (away - back) of two diagonals.
+  pure subroutine two_differences(m, away1, back1, away2, back2, total)
+    integer, intent(in) :: m
+    real(wp), intent(in) :: away1(m), back1(m), away2(m), back2(m)
+    real(wp), intent(out) :: total(m)
+    integer :: k
+    do k = 1, m
+      total(k) = (away1(k) - back1(k)) + (away2(k) - back2(k))
+    end do
+  end subroutine two_differences
+
+  !> total = total + (away - back).
   pure subroutine add_difference(m, away, back, total)
     integer, intent(in) :: m
     real(wp), intent(in) :: away(m), back(m)

@@ -13,7 +13,7 @@ module castnet_integrator
   use castnet_extra_force, only: has_extra_force, gather_extra_force
   implicit none
   private
-  public :: flow_work_t, new_flow_work, rk4_step, midpoint_step, accelerations
+  public :: flow_work_t, new_flow_work, rk4_step, midpoint_step, midpoint_begin, midpoint_positions, midpoint_disturbed
 
   !> Scratch of the cable forces.
   type :: cable_work_t
@@ -21,6 +21,7 @@ module castnet_integrator
     real(wp), allocatable :: loose_force(:, :)     !! (n_loose,3) [N]
     real(wp), allocatable :: loose_power(:)        !! (n_loose) [W]
     real(wp), allocatable :: chunk_power(:)        !! (n_chunk) [W]
+    real(wp), allocatable :: weight(:)             !! (n_pad) 1/mass; 1 where a field has already divided [1/kg]
     real(wp), allocatable :: extra(:, :)           !! (n_pad,3) forces besides cables, only where a scene has some [N]
   end type cable_work_t
 
@@ -31,15 +32,15 @@ module castnet_integrator
     real(wp), allocatable :: sum_x(:, :), sum_v(:, :)               !! (n_pad,3) weighted slopes of rk4
     real(wp) :: body_force(3) = 0.0_wp             !! on the target besides external_force, inertial [N]
     real(wp) :: body_torque(3) = 0.0_wp            !! on the target besides external_torque, body axes [N m]
-    logical :: midpoint_ready = .false.            !! xa, va hold the next midpoint; a contact event clears it
+    logical :: midpoint_ready = .false.            !! xa holds the next midpoint
+    logical :: positions_lag = .false.             !! state%node_position is still that of some step before
   end type flow_work_t
 
   !> What a sweep does with the accelerations a of its nodes.
   integer, parameter :: stage_first = 1   !! rk4: slopes begin, out = x + h v
   integer, parameter :: stage_middle = 2  !! rk4: slopes add twice, out = x0 + h v
   integer, parameter :: stage_last = 3    !! rk4: x0 = x0 + h (slopes + this one)
-  integer, parameter :: stage_kick = 4    !! midpoint: v0 = v0 + h a, x0 = x + h/2 v0, out = the next midpoint
-  integer, parameter :: stage_rate = 5    !! out = a only
+  integer, parameter :: stage_kick = 4    !! midpoint: v0 = v0 + h a, out = the next midpoint
 
 contains
 
@@ -57,6 +58,8 @@ contains
       allocate (work%cables%loose_force(plan%n_loose, 3), work%cables%loose_power(plan%n_loose), source=0.0_wp)
     end associate
     allocate (work%cables%chunk_power((n + chunk_size - 1)/chunk_size), source=0.0_wp)
+    work%cables%weight = model%net%inverse_mass
+    if (any(model%gravity /= 0.0_wp) .or. model%orbit_rate /= 0.0_wp) work%cables%weight = 1.0_wp
     if (has_extra_force(model)) allocate (work%cables%extra(n, 3), source=0.0_wp)
     allocate (work%xa(n, 3), work%va(n, 3), work%xb(n, 3), work%vb(n, 3), source=0.0_wp)
     allocate (work%sum_x(n, 3), work%sum_v(n, 3), source=0.0_wp)
@@ -115,9 +118,19 @@ contains
     state%force_evaluations = state%force_evaluations + 4
   end subroutine rk4_step
 
+  !> Make a state ready for `midpoint_step`: at the start there is no force to extrapolate
+  !> the velocity with.
+  subroutine midpoint_begin(state)
+    type(state_t), intent(inout) :: state
+    if (allocated(state%node_velocity)) state%velocity_ahead = state%node_velocity
+  end subroutine midpoint_begin
+
   !> Drift-kick-drift with one force evaluation: half drift, force at the midpoint
   !> position with the velocity extrapolated there for the damping, kick, half drift.
-  !> Needs state%node_acceleration of the step before.
+  !>
+  !> The second half drift and the next step's first are one addition, so the positions
+  !> at the step's end are not stored: `midpoint_positions` gives them to whoever looks.
+  !> That saves a third of the memory traffic; the bits are the same either way.
   subroutine midpoint_step(model, state, work, h)
     type(model_t), intent(in) :: model
     type(state_t), intent(inout) :: state
@@ -132,26 +145,20 @@ contains
     coupled = allocated(work%cables%extra)
     if (allocated(model%net)) then
       n = model%net%n_pad
-      if (.not. work%midpoint_ready) then
-        work%xa = state%node_position + 0.5_wp*h*state%node_velocity
-        work%va = state%node_velocity + 0.5_wp*h*state%node_acceleration
-      end if
+      if (.not. work%midpoint_ready) work%xa = state%node_position + (0.5_wp*h)*state%node_velocity
       if (coupled) then
         if (allocated(state%target)) body = state%target
         if (moves) call body_flow(model, body, 0.5_wp*h)
-        call gather_extra_force(model, n, work%xa, work%va, body, state%closing, &
+        call gather_extra_force(model, n, work%xa, state%velocity_ahead, body, state%closing, &
                                 work%cables%extra, work%body_force, work%body_torque)
       end if
-      call sweep(model, work%cables, stage_kick, n, h, work%xa, work%va, &
-                 state%node_position, state%node_velocity, work%xb, work%vb, work%sum_x, state%node_acceleration, .true.)
+      call sweep(model, work%cables, stage_kick, n, h, work%xa, state%velocity_ahead, &
+                 state%node_position, state%node_velocity, work%xb, work%vb, work%sum_x, work%sum_v, .true.)
       state%ledger%dissipated = state%ledger%dissipated + h*damping_power(work%cables)
-      call move_alloc(work%xa, work%sum_x)    ! the stage's buffer becomes spare, the next midpoint the stage
-      call move_alloc(work%xb, work%xa)
-      call move_alloc(work%sum_x, work%xb)
-      call move_alloc(work%va, work%sum_v)
-      call move_alloc(work%vb, work%va)
-      call move_alloc(work%sum_v, work%vb)
+      call swap(work%xa, work%xb)    ! xa: the next midpoint, xb: this one
+      call swap(state%velocity_ahead, work%vb)
       work%midpoint_ready = .true.
+      work%positions_lag = .true.
       state%force_evaluations = state%force_evaluations + 1
     end if
     if (.not. moves) return
@@ -163,6 +170,34 @@ contains
       call body_flow(model, state%target, h)
     end if
   end subroutine midpoint_step
+
+  !> Positions at the end of the last step, from its midpoint.
+  subroutine midpoint_positions(state, work, h)
+    type(state_t), intent(inout) :: state
+    type(flow_work_t), intent(inout) :: work
+    real(wp), intent(in) :: h !! [s]
+    if (.not. work%positions_lag) return
+    state%node_position = work%xb + (0.5_wp*h)*state%node_velocity
+    work%positions_lag = .false.
+  end subroutine midpoint_positions
+
+  !> After impulses changed velocities by v - v_before, or positions: the velocity ahead
+  !> changes alike, and the next midpoint has to be drifted anew.
+  subroutine midpoint_disturbed(state, work, before)
+    type(state_t), intent(inout) :: state
+    type(flow_work_t), intent(inout) :: work
+    real(wp), intent(in) :: before(:, :) !! (n_pad,3) velocities before the impulses [m/s]
+    state%velocity_ahead = state%velocity_ahead + (state%node_velocity - before)
+    work%midpoint_ready = .false.
+  end subroutine midpoint_disturbed
+
+  subroutine swap(a, b)
+    real(wp), allocatable, intent(inout) :: a(:, :), b(:, :)
+    real(wp), allocatable :: c(:, :)
+    call move_alloc(a, c)
+    call move_alloc(b, a)
+    call move_alloc(c, b)
+  end subroutine swap
 
   !> The target alone over h, by one Runge-Kutta step.
   subroutine body_flow(model, body, h)
@@ -178,21 +213,8 @@ contains
     call body_rk4(body, k1, k2, k3, k4, h)
   end subroutine body_flow
 
-  !> Accelerations of all nodes at a given state (extra forces excluded) [m/s2].
-  subroutine accelerations(model, work, n_pad, x, v, a)
-    type(model_t), intent(in) :: model
-    type(flow_work_t), intent(inout) :: work
-    integer, intent(in) :: n_pad
-    real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)
-    real(wp), intent(out) :: a(n_pad, 3)
-    a = 0.0_wp
-    if (allocated(work%cables%extra)) work%cables%extra = 0.0_wp
-    call sweep(model, work%cables, stage_rate, n_pad, 0.0_wp, x, v, work%xa, work%va, work%xb, work%vb, work%sum_x, a, .false.)
-  end subroutine accelerations
-
   !> One stage over all nodes. x, v: the stage's state. x0, v0: the step's start and, at
-  !> the last stage, its end. sum_x, sum_v: slopes; sum_v is the acceleration for
-  !> `stage_kick` and `stage_rate`. No two of the arrays are the same.
+  !> the last stage, its end. sum_x, sum_v: slopes. No two of the arrays are the same.
   subroutine sweep(model, cables, stage, n_pad, h, x, v, x0, v0, x_out, v_out, sum_x, sum_v, with_power)
     type(model_t), intent(in) :: model
     type(cable_work_t), intent(inout) :: cables
@@ -238,8 +260,11 @@ contains
     logical, intent(in) :: with_power
     real(wp) :: a(chunk_size, 3), power
     integer :: b, m, c
+    logical :: has_field
 
-    associate (plan => model%net%plan, net => model%net)
+    has_field = any(model%gravity /= 0.0_wp) .or. model%orbit_rate /= 0.0_wp
+
+    associate (plan => model%net%plan, net => model%net, w => cables%weight)
       call slab_halo(plan, slab, n_pad, x, v, floor_tension)
       do b = slab%first, slab%last, chunk_size
         m = min(chunk_size, slab%last - b + 1)
@@ -247,19 +272,19 @@ contains
         if (with_power) cables%chunk_power((b - 1)/chunk_size + 1) = power
         call chunk_force(plan, slab, b, b + m - 1, cables%loose_force, a)
         if (allocated(cables%extra)) a(:m, :) = a(:m, :) + cables%extra(b:b + m - 1, :)
-        call force_to_acceleration(model, m, net%inverse_mass(b), n_pad, b, x, v, a)
+        ! Without a field, the update itself divides by the mass: one pass less.
+        if (has_field) call force_to_acceleration(model, m, net%inverse_mass(b), n_pad, b, x, v, a)
         do c = 1, 3
           select case (stage)
           case (stage_first)
-            call update_first(m, h, a(1, c), x(b, c), v(b, c), sum_x(b, c), sum_v(b, c), x_out(b, c), v_out(b, c))
+            call update_first(m, h, a(1, c), w(b), x(b, c), v(b, c), sum_x(b, c), sum_v(b, c), x_out(b, c), v_out(b, c))
           case (stage_middle)
-            call update_middle(m, h, a(1, c), v(b, c), x0(b, c), v0(b, c), sum_x(b, c), sum_v(b, c), x_out(b, c), v_out(b, c))
+            call update_middle(m, h, a(1, c), w(b), v(b, c), x0(b, c), v0(b, c), sum_x(b, c), sum_v(b, c), &
+                               x_out(b, c), v_out(b, c))
           case (stage_last)
-            call update_last(m, h, a(1, c), v(b, c), sum_x(b, c), sum_v(b, c), x0(b, c), v0(b, c))
+            call update_last(m, h, a(1, c), w(b), v(b, c), sum_x(b, c), sum_v(b, c), x0(b, c), v0(b, c))
           case (stage_kick)
-            call update_kick(m, h, a(1, c), x(b, c), x0(b, c), v0(b, c), sum_v(b, c), x_out(b, c), v_out(b, c))
-          case (stage_rate)
-            sum_v(b:b + m - 1, c) = a(:m, c)
+            call update_kick(m, h, a(1, c), w(b), x(b, c), v0(b, c), x_out(b, c), v_out(b, c))
           end select
         end do
       end do
@@ -294,58 +319,63 @@ contains
     end if
   end subroutine force_to_acceleration
 
-  pure subroutine update_first(m, h, a, x, v, sum_x, sum_v, x_out, v_out)
+  pure subroutine update_first(m, h, force, w, x, v, sum_x, sum_v, x_out, v_out)
     integer, intent(in) :: m
-    real(wp), intent(in) :: h, a(m), x(m), v(m)
+    real(wp), intent(in) :: h, force(m), w(m), x(m), v(m)
     real(wp), intent(out) :: sum_x(m), sum_v(m), x_out(m), v_out(m)
+    real(wp) :: a
     integer :: k
     do k = 1, m
+      a = force(k)*w(k)
       sum_x(k) = v(k)
-      sum_v(k) = a(k)
+      sum_v(k) = a
       x_out(k) = x(k) + h*v(k)
-      v_out(k) = v(k) + h*a(k)
+      v_out(k) = v(k) + h*a
     end do
   end subroutine update_first
 
-  pure subroutine update_middle(m, h, a, v, x0, v0, sum_x, sum_v, x_out, v_out)
+  pure subroutine update_middle(m, h, force, w, v, x0, v0, sum_x, sum_v, x_out, v_out)
     integer, intent(in) :: m
-    real(wp), intent(in) :: h, a(m), v(m), x0(m), v0(m)
+    real(wp), intent(in) :: h, force(m), w(m), v(m), x0(m), v0(m)
     real(wp), intent(inout) :: sum_x(m), sum_v(m)
     real(wp), intent(out) :: x_out(m), v_out(m)
+    real(wp) :: a
     integer :: k
     do k = 1, m
+      a = force(k)*w(k)
       sum_x(k) = sum_x(k) + 2.0_wp*v(k)
-      sum_v(k) = sum_v(k) + 2.0_wp*a(k)
+      sum_v(k) = sum_v(k) + 2.0_wp*a
       x_out(k) = x0(k) + h*v(k)
-      v_out(k) = v0(k) + h*a(k)
+      v_out(k) = v0(k) + h*a
     end do
   end subroutine update_middle
 
-  pure subroutine update_last(m, h, a, v, sum_x, sum_v, x0, v0)
+  pure subroutine update_last(m, h, force, w, v, sum_x, sum_v, x0, v0)
     integer, intent(in) :: m
-    real(wp), intent(in) :: h, a(m), v(m), sum_x(m), sum_v(m)
+    real(wp), intent(in) :: h, force(m), w(m), v(m), sum_x(m), sum_v(m)
     real(wp), intent(inout) :: x0(m), v0(m)
+    real(wp) :: a
     integer :: k
     do k = 1, m
+      a = force(k)*w(k)
       x0(k) = x0(k) + h*(sum_x(k) + v(k))
-      v0(k) = v0(k) + h*(sum_v(k) + a(k))
+      v0(k) = v0(k) + h*(sum_v(k) + a)
     end do
   end subroutine update_last
 
-  pure subroutine update_kick(m, h, a, x, x0, v0, acceleration, x_out, v_out)
+  pure subroutine update_kick(m, h, force, w, x, v0, x_out, v_out)
     integer, intent(in) :: m
-    real(wp), intent(in) :: h, a(m), x(m)
-    real(wp), intent(inout) :: x0(m), v0(m)
-    real(wp), intent(out) :: acceleration(m), x_out(m), v_out(m)
-    real(wp) :: half
+    real(wp), intent(in) :: h, force(m), w(m), x(m)
+    real(wp), intent(inout) :: v0(m)
+    real(wp), intent(out) :: x_out(m), v_out(m)
+    real(wp) :: a, half
     integer :: k
     half = 0.5_wp*h
     do k = 1, m
-      v0(k) = v0(k) + h*a(k)
-      x0(k) = x(k) + half*v0(k)
-      acceleration(k) = a(k)
-      x_out(k) = x0(k) + half*v0(k)
-      v_out(k) = v0(k) + half*a(k)
+      a = force(k)*w(k)
+      v0(k) = v0(k) + h*a
+      x_out(k) = (x(k) + half*v0(k)) + half*v0(k)
+      v_out(k) = v0(k) + half*a
     end do
   end subroutine update_kick
 

@@ -22,7 +22,8 @@ module castnet_stable_step
   end type spectrum_t
 
   integer, parameter :: most_iterations = 300
-  real(wp), parameter :: settled = 1.0e-7_wp   !! relative change of the Ritz value that ends the iteration
+  integer, parameter :: look_interval = 10     !! iterations between two looks at the Ritz value
+  real(wp), parameter :: settled = 1.0e-6_wp   !! relative change of the Ritz value that ends the iteration
   real(wp), parameter :: safety = 1.0e-4_wp    !! Ritz values come from below: widened by this
 
 contains
@@ -59,7 +60,7 @@ contains
     real(wp), intent(in) :: direction(:, :)  !! (3,n_cable)
     real(wp), intent(in) :: weight(:)        !! (n_cable)
     real(wp), allocatable :: q(:, :), before(:, :), r(:, :), root(:)
-    real(wp) :: alpha(most_iterations), beta(0:most_iterations), value, previous
+    real(wp) :: alpha(most_iterations), beta(0:most_iterations), previous
     integer :: n, k, i, j
 
     n = net%n_node
@@ -86,11 +87,11 @@ contains
       alpha(k) = sum(r*q)
       r = r - alpha(k)*q
       beta(k) = sqrt(sum(r**2))
-      value = largest_tridiagonal(k, alpha, beta(1:))
-      largest = value
-      if (beta(k) <= 1.0e-12_wp*value) exit
-      if (k > 10 .and. abs(value - previous) <= settled*value) exit
-      previous = value
+      if (modulo(k, look_interval) == 0 .or. beta(k) <= 1.0e-12_wp*abs(alpha(1)) .or. k == most_iterations) then
+        largest = largest_tridiagonal(k, alpha, beta(1:))
+        if (abs(largest - previous) <= settled*largest .or. beta(k) <= 1.0e-12_wp*abs(alpha(1))) exit
+        previous = largest
+      end if
       before = q
       q = r/beta(k)
     end do

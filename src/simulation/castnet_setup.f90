@@ -2,7 +2,7 @@
 module castnet_setup
   use castnet_kinds, only: wp
   use castnet_error, only: error_t, fail, exit_input
-  use castnet_integrator, only: accelerations
+  use castnet_integrator, only: midpoint_begin
   use castnet_model, only: model_t, method_midpoint
   use castnet_model_builder, only: file_net_t, build_model
   use castnet_scene, only: scene_t
@@ -47,11 +47,7 @@ contains
     if (allocated(error)) return
     model%step = report%step
     call new_work(work, model, n_thread)
-    if (model%method == method_midpoint .and. allocated(model%net)) then
-      allocate (state%node_acceleration(model%net%n_pad, 3))
-      call accelerations(model, work%flow, model%net%n_pad, state%node_position, state%node_velocity, &
-                         state%node_acceleration)
-    end if
+    if (model%method == method_midpoint) call midpoint_begin(state)
     allocate (state%measures(size(scene%output%verdict_times)))
   end subroutine set_up
 
