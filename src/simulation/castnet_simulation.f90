@@ -12,12 +12,12 @@ module castnet_simulation
   use castnet_scene, only: scene_t
   use castnet_setup, only: step_report_t, set_up
   use castnet_state, only: state_t, tally_t
-  use castnet_stepper, only: work_t, advance
+  use castnet_stepper, only: work_t, advance, meet, settle
   use castnet_text, only: to_text
   use, intrinsic :: ieee_arithmetic, only: ieee_value, ieee_quiet_nan
   implicit none
   private
-  public :: simulation_t, due_t, start, run_to_next, is_finished, take_measures, take_row, summarise
+  public :: simulation_t, due_t, start, run_to_next, is_finished, take_measures, take_row, frame_taken, summarise
 
   !> Steps between two looks at the state's health.
   integer, parameter :: guard_interval = 64
@@ -55,10 +55,13 @@ contains
 
     call set_up(scene, n_thread, file_net, sim%model, sim%state, sim%work, sim%report, error)
     if (allocated(error)) return
-    sim%frame_interval = scene%output%frame_interval
-    sim%history_interval = scene%output%history_interval
+    ! At most one observation a step.
+    sim%frame_interval = max(scene%output%frame_interval, sim%model%step)
+    sim%history_interval = max(scene%output%history_interval, sim%model%step)
     sim%verdict_times = scene%output%verdict_times
     sim%energy_start = mechanical_energy(sim%model, sim%state)
+    ! A node that starts within the threshold and approaches is in contact at once.
+    if (allocated(sim%model%contact)) call meet(sim%model, sim%state, sim%work, error)
     sim%last_step = ceiling(sim%model%end_time/sim%model%step*(1.0_wp - 1.0e-12_wp), i8)
   end subroutine start
 
@@ -88,10 +91,12 @@ contains
       call advance(sim%model, sim%state, sim%work, error)
       if (allocated(error)) return
       if (modulo(sim%state%step, int(guard_interval, i8)) == 0) then
+        call settle(sim%model, sim%state, sim%work)
         call guard(sim, error)
         if (allocated(error)) return
       end if
     end do
+    call settle(sim%model, sim%state, sim%work)
     due = what_is_due(sim)
     if (due%frame .or. due%verdict) call guard(sim, error)
   end subroutine run_to_next
@@ -140,6 +145,14 @@ contains
       sim%state%schedule%rows = sim%state%schedule%rows + 1
     end do
   end function take_row
+
+  !> A frame of now has been taken.
+  subroutine frame_taken(sim)
+    type(simulation_t), intent(inout) :: sim
+    do while (step_at(sim, sim%state%schedule%frames*sim%frame_interval) <= sim%state%step)
+      sim%state%schedule%frames = sim%state%schedule%frames + 1
+    end do
+  end subroutine frame_taken
 
   !> What the whole run says.
   function summarise(sim, wall_time) result(summary)

@@ -3,12 +3,13 @@
 module castnet_stepper
   use castnet_kinds, only: wp
   use castnet_error, only: error_t
-  use castnet_integrator, only: flow_work_t, new_flow_work, rk4_step, midpoint_step
+  use castnet_contact_event, only: contact_work_t, new_contact_work, handle_contacts
+  use castnet_integrator, only: flow_work_t, new_flow_work, rk4_step, midpoint_step, midpoint_positions, midpoint_disturbed
   use castnet_model, only: model_t, method_midpoint
   use castnet_state, only: state_t
   implicit none
   private
-  public :: work_t, new_work, advance
+  public :: work_t, new_work, advance, meet, settle
 
   !> Nodes from which threads inside one run pay (docs/performance.md).
   integer, parameter :: nodes_worth_threads = 4096
@@ -16,6 +17,8 @@ module castnet_stepper
   !> All scratch of a run, allocated once.
   type :: work_t
     type(flow_work_t) :: flow
+    type(contact_work_t) :: contact
+    real(wp), allocatable :: velocity_before(:, :) !! (n_pad,3) before the impulses, method 'midpoint' with contact only [m/s]
   end type work_t
 
 contains
@@ -30,6 +33,9 @@ contains
       if (model%net%n_node >= nodes_worth_threads) used = n_thread
     end if
     call new_flow_work(work%flow, model, used)
+    if (.not. allocated(model%contact)) return
+    call new_contact_work(work%contact, model)
+    if (model%method == method_midpoint) allocate (work%velocity_before(model%net%n_pad, 3))
   end subroutine new_work
 
   !> Advance by one step.
@@ -46,6 +52,31 @@ contains
     end if
     state%step = state%step + 1
     state%time = real(state%step, wp)*model%step
+    if (allocated(model%contact)) call meet(model, state, work, error)
   end subroutine advance
+
+  !> Contact between net and target at this instant. Nearly all of a flight it returns at
+  !> once: nothing can touch before `skip_contact_until`.
+  subroutine meet(model, state, work, error)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(inout) :: state
+    type(work_t), intent(inout) :: work
+    type(error_t), allocatable, intent(inout) :: error
+
+    if (state%time < state%skip_contact_until) return
+    call settle(model, state, work)
+    if (model%method == method_midpoint) work%velocity_before = state%node_velocity
+    call handle_contacts(model, state, work%contact, error)
+    if (model%method == method_midpoint .and. work%contact%acted) &
+      call midpoint_disturbed(state, work%flow, work%velocity_before)
+  end subroutine meet
+
+  !> Bring the state to the end of the step for whoever looks at it.
+  subroutine settle(model, state, work)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(inout) :: state
+    type(work_t), intent(inout) :: work
+    if (model%method == method_midpoint) call midpoint_positions(state, work%flow, model%step)
+  end subroutine settle
 
 end module castnet_stepper
