@@ -11,7 +11,8 @@ module castnet_runner
   use castnet_scene, only: scene_t
   use castnet_shape, only: tessellate
   use castnet_signals, only: install_signal_handlers, stop_request_code
-  use castnet_simulation, only: simulation_t, due_t, start, run_to_next, is_finished, take_measures, take_row, frame_taken, summarise
+  use castnet_simulation, only: simulation_t, due_t, start, run_to_next, is_finished, take_measures, take_row, &
+                                frame_taken, summarise
   use castnet_surface, only: surface_t
   implicit none
   private
