@@ -61,11 +61,9 @@ class Camera:
         return local[..., :2] * scale[..., None], local[..., 2]
 
 
-def triangulate(points, polygons, largest):
-    """Polygons as triangles with no edge longer than `largest`: (n, 3, 3)."""
-    triangles = np.array([
-        points[[p[0], p[i], p[i + 1]]] for p in polygons for i in range(1, len(p) - 1)
-    ])
+def refine(points, corners, largest):
+    """Triangles (n, 3, 3), halved until no edge is longer than `largest`."""
+    triangles = points[corners]
     for _ in range(12):
         sides = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
         longest = sides.argmax(axis=1)
@@ -81,16 +79,16 @@ def triangulate(points, polygons, largest):
     return triangles
 
 
-def creases(points, polygons):
+def creases(points, corners):
     """Edges (n, 2, 3) at which the surface turns by more than 35 degrees."""
-    normals, edges = [], {}
-    for number, polygon in enumerate(polygons):
-        corner = points[polygon]
-        normal = sum(np.cross(corner[i] - corner[0], corner[i + 1] - corner[0]) for i in range(1, len(corner) - 1))
-        normals.append(normal / max(np.linalg.norm(normal), 1e-300))
-        keys = [tuple(np.round(p, 9)) for p in corner]
-        for i, key in enumerate(keys):
-            edges.setdefault(frozenset((key, keys[(i + 1) % len(keys)])), []).append(number)
+    triangles = points[corners]
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
+    edges = {}
+    for number, triangle in enumerate(np.round(triangles, 9)):
+        keys = [tuple(point) for point in triangle]
+        for i in range(3):
+            edges.setdefault(frozenset((keys[i], keys[(i + 1) % 3])), []).append(number)
     sharp = [
         sorted(edge) for edge, sides in edges.items()
         if len(edge) == 2 and (len(sides) != 2 or normals[sides[0]] @ normals[sides[1]] < 0.82)
@@ -109,10 +107,9 @@ class Scene3D:
             # The snap of the opening net would leave everything after it colourless.
             self.largest_tension = float(np.quantile(run.data["cable_tension"].values.max(axis=1), 0.9))
         if self.solid is not None:
-            points, polygons = self.solid
-            self.target_radius = float(np.linalg.norm(points, axis=1).max())
-            self.triangles = triangulate(points, polygons, self.target_radius / 9)
-            self.creases = creases(points, polygons)
+            self.target_radius = float(np.linalg.norm(self.solid[0], axis=1).max())
+            self.triangles = refine(*self.solid, self.target_radius / 9)
+            self.creases = creases(*self.solid)
 
     def camera(self, frame: int, close_up=False, **angles) -> Camera:
         """Frame the net and the target, or the target and what of the net is round it."""
@@ -166,8 +163,6 @@ class Scene3D:
         normal = np.cross(world[:, 1] - world[:, 0], world[:, 2] - world[:, 0])
         normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
         middle = world.mean(axis=1)
-        outward = np.sign(np.einsum("ij,ij->i", normal, self._outward(attitude)))[:, None]
-        normal = normal * np.where(outward == 0, 1, outward)
         eye = camera.centre + camera.axes[2] * camera.distance * camera.radius
         facing = np.einsum("ij,ij->i", normal, eye - middle) > 0
         light = 0.52 + sum(power * np.clip(normal @ (way / np.linalg.norm(way)), 0, 1) for way, power in LIGHTS)
@@ -184,16 +179,6 @@ class Scene3D:
                 for i in range(len(self.creases)):
                     primitives.append((depth[k:k + 2, i].mean() + 0.9 * self.bias(camera), picture[k:k + 2, i],
                                        "none", (0.25, 0.2, 0.1), 0.7))
-
-    def _outward(self, attitude):
-        """The side of each triangle that its polygon's order calls outward."""
-        if not hasattr(self, "_body_normal"):
-            body = np.cross(self.triangles[:, 1] - self.triangles[:, 0], self.triangles[:, 2] - self.triangles[:, 0])
-            middle = self.triangles.mean(axis=1)
-            # A file may list its polygons either way round: the volume's sign tells.
-            volume = np.einsum("ij,ij->", body, middle)
-            self._body_normal = body * np.sign(volume if volume else 1)
-        return self._body_normal @ attitude.T
 
     def bias(self, camera):
         """Depth by which a cable on a surface is preferred to that surface's triangles."""

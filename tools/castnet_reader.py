@@ -161,22 +161,9 @@ class Run:
         """Nodes of the bullets, counted from 0; empty without bullets."""
         return np.atleast_1d(np.asarray(self.static.get("bullet_nodes", []), int))
 
-    @cached_property
-    def target_solid(self) -> tuple[np.ndarray, list[np.ndarray]] | None:
-        """The target's surface in body axes: points (n, 3) [m] and polygons (lists of point numbers)."""
-        if not self.has_target:
+    @property
+    def target_solid(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """The target's surface in body axes: vertices (n, 3) [m], triangles (m, 3) that turn outward."""
+        if not self.has_target or "target_triangles" not in self.static:
             return None
-        with h5py.File(self.path) as file:
-            group = file.get("VTKHDF")
-            if group is None or "Polygons" not in group:
-                return None
-            polygons = group["Polygons"]
-            count = int(polygons["NumberOfCells"][0])
-            if count == 0:
-                return None
-            offsets = polygons["Offsets"][: count + 1]
-            links = polygons["Connectivity"][: int(offsets[-1])]
-            points = group["Points"][: int(group["NumberOfPoints"][0])].astype(float)
-        first = int(links.min())
-        body = (points[first:] - self.data["target_position"].values[0]) @ rotation(self.data["target_attitude"].values[0])
-        return body, [links[a:b] - first for a, b in zip(offsets[:-1], offsets[1:])]
+        return np.asarray(self.static["target_vertices"], float), np.asarray(self.static["target_triangles"], int)

@@ -20,7 +20,7 @@ import numpy as np
 
 from bullet_differences import COLUMNS, Trajectories, box, differences, direction_means
 from castnet_drawing import (AXIS_COLOURS, BULLET_COLOURS, Camera, Scene3D, mark_contact, plot_vector, plt, scale_bar)
-from castnet_reader import VERDICTS, Run
+from castnet_reader import Run
 from castnet_runner import ROOT, Job, find_castnet, run_all
 
 CUBESAT = {"0": "cubesat_0.0", "1": "cubesat_1.0", "1.5": "cubesat", "2": "cubesat_2.0"}
@@ -45,11 +45,19 @@ class Book:
 
 
 def verdict_at(run: Run, time: float) -> str:
-    """The verdict's word at the verdict time nearest to `time`."""
+    """The verdict's word at the verdict time nearest to `time`, by the strict thresholds.
+
+    (Of the many verdict times of these runs only the first was judged strictly.)"""
     if run.measures is None:
         return ""
-    nearest = run.measures.sel(verdict_time=time, method="nearest")
-    return VERDICTS.get(int(nearest["verdict"]), "")
+    limit = run.summary
+    now = {name: float(value) for name, value in run.measures.sel(verdict_time=time, method="nearest").data_vars.items()}
+    if (now["coverage"] >= limit["captured_coverage"] and now["largest_hole"] <= limit["captured_hole"]
+            and now["escape"] <= limit["captured_escape"]):
+        return "captured"
+    if now["coverage"] <= limit["failed_coverage"] or now["escape"] >= limit["failed_escape"]:
+        return "failed"
+    return "marginal"
 
 
 def shared_camera(scenes: list[Scene3D], frames: list[int]) -> Camera:
