@@ -4,13 +4,13 @@ module scenes
   use castnet_kinds, only: wp
   use castnet_diagnostics, only: net_kinetic_energy, target_kinetic_energy, elastic_energy
   use castnet_error, only: error_t
-  use castnet_integrator, only: new_flow_work, accelerations
+  use castnet_integrator, only: new_flow_work, midpoint_begin
   use castnet_model, only: model_t, method_rk4, method_midpoint
   use castnet_model_builder, only: file_net_t, build_model
   use castnet_net_builder, only: finish_net
   use castnet_scene, only: scene_t
   use castnet_state, only: state_t
-  use castnet_stepper, only: work_t, new_work, advance
+  use castnet_stepper, only: work_t, new_work, advance, settle
   use testing, only: expect
   implicit none
   private
@@ -168,10 +168,7 @@ contains
     model%step = step
     call new_work(work, model, 1)
     if (present(n_thread)) call new_flow_work(work%flow, model, n_thread)
-    if (method /= method_midpoint .or. .not. allocated(model%net)) return
-    if (allocated(state%node_acceleration)) deallocate (state%node_acceleration)
-    allocate (state%node_acceleration(model%net%n_pad, 3))
-    call accelerations(model, work%flow, model%net%n_pad, state%node_position, state%node_velocity, state%node_acceleration)
+    if (method == method_midpoint) call midpoint_begin(state)
   end subroutine ready
 
   !> Take n steps.
@@ -189,6 +186,7 @@ contains
         return
       end if
     end do
+    call settle(model, state, work)
   end subroutine fly
 
   !> Kinetic and elastic energy of net and target [J].
@@ -209,7 +207,7 @@ contains
       call mix(hash, reshape(state%node_position, [size(state%node_position)]))
       call mix(hash, reshape(state%node_velocity, [size(state%node_velocity)]))
     end if
-    if (allocated(state%node_acceleration)) call mix(hash, reshape(state%node_acceleration, [size(state%node_acceleration)]))
+    if (allocated(state%velocity_ahead)) call mix(hash, reshape(state%velocity_ahead, [size(state%velocity_ahead)]))
     if (allocated(state%target)) call mix(hash, [state%target%position, state%target%velocity, state%target%attitude, &
                                                  state%target%angular_velocity])
     call mix(hash, [state%time, state%ledger%dissipated, state%ledger%external_work])
