@@ -11,6 +11,7 @@ program main
   use testing, only: finish
   use verify_contact, only: run_verify_contact
   use verify_torque_free, only: run_verify_torque_free
+  use test_scene_file, only: run_test_scene_file
   implicit none
   call run_test_contact()
   call run_test_convex_hull()
@@ -22,5 +23,6 @@ program main
   call run_test_text()
   call run_verify_contact()
   call run_verify_torque_free()
+  call run_test_scene_file()
   call finish()
 end program main

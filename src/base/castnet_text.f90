@@ -5,9 +5,15 @@ module castnet_text
   use castnet_kinds, only: wp, i8
   implicit none
   private
+  public :: text_t
   public :: to_text, lower, edit_distance, closest_word, did_you_mean, word_at, word_count, is_one_of
   public :: parse_real, parse_integer, parse_logical, parse_duration, duration_text, byte_text
   public :: path_beside, folder_of, name_of, without_extension, quoted, is_utf8, replace_all
+
+  !> One text of any length, for lists of them.
+  type :: text_t
+    character(len=:), allocatable :: chars
+  end type text_t
 
   !> A value as text. Reals: the fewest digits that read back to the same bits.
   interface to_text
@@ -63,9 +69,9 @@ contains
     digits = digits(:n)
     if (digits == '0') then
       text = sign//'0'
-    else if (exponent >= n - 1 .and. exponent <= 6) then
+    else if (exponent >= n - 1 .and. exponent <= 6 .and. exponent - n < 4) then
       text = sign//digits//repeat('0', exponent - n + 1)
-    else if (exponent >= 0 .and. exponent <= 6) then
+    else if (exponent >= 0 .and. exponent <= 6 .and. n > exponent + 1) then
       text = sign//digits(:exponent + 1)//'.'//digits(exponent + 2:)
     else if (exponent < 0 .and. exponent >= -4) then
       text = sign//'0.'//repeat('0', -exponent - 1)//digits

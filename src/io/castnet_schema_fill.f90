@@ -1,0 +1,118 @@
+!> Groups of a parsed file into the places of a schema table, with every problem told.
+module castnet_schema_fill
+  use castnet_namelist, only: group_t, item_t
+  use castnet_problems, only: problem_list_t
+  use castnet_schema, only: schema_t, entry_t, most_components
+  use castnet_text, only: to_text, did_you_mean, word_at, word_count
+  implicit none
+  private
+  public :: fill_group, claim_group
+
+contains
+
+  !> Note that a group is there; the same group twice in one file is a problem.
+  subroutine claim_group(path, group, level, table, problems, repeated)
+    character(len=*), intent(in) :: path
+    type(group_t), intent(in) :: group
+    integer, intent(in) :: level
+    type(schema_t), intent(inout) :: table
+    type(problem_list_t), intent(inout) :: problems
+    logical, intent(out) :: repeated
+    integer :: i
+    repeated = .false.
+    i = table%find_group(group%name)
+    if (i == 0) return
+    associate (g => table%groups(i))
+      if (g%present .and. g%level == level) then
+        call problems%add(path, group%line, group%name, 'the group is repeated; it stands on line '//to_text(g%line)//' already')
+        repeated = .true.
+        return
+      end if
+      g%present = .true.
+      g%level = level
+      g%line = group%line
+      g%path = path
+    end associate
+  end subroutine claim_group
+
+  !> The keys of one group. `level`: number of the file in the chain of includes.
+  subroutine fill_group(path, group, level, table, problems)
+    character(len=*), intent(in) :: path
+    type(group_t), intent(in) :: group
+    integer, intent(in) :: level
+    type(schema_t), intent(inout) :: table
+    type(problem_list_t), intent(inout) :: problems
+    character(len=:), allocatable :: about
+    integer :: i, k
+    about = group%name
+    if (table%label > 0) then
+      about = about//'('//to_text(table%label)//')'
+      table%groups(1)%present = .true.
+      table%groups(1)%line = group%line
+      table%groups(1)%path = path
+    end if
+    do i = 1, group%n
+      k = table%find(group%name, group%items(i)%key)
+      if (k == 0) then
+        call problems%add(path, group%items(i)%line, about//'/'//group%items(i)%key, &
+                          'there is no such key'//suggestion(table, group%name, group%items(i)%key))
+      else
+        call fill_entry(path, about, group%items(i), level, table%entries(k), problems)
+      end if
+    end do
+  end subroutine fill_group
+
+  subroutine fill_entry(path, about, item, level, entry, problems)
+    character(len=*), intent(in) :: path, about
+    type(item_t), intent(in) :: item
+    integer, intent(in) :: level
+    type(entry_t), intent(inout) :: entry
+    type(problem_list_t), intent(inout) :: problems
+    character(len=:), allocatable :: problem
+    if (is_repeated(item, level, entry)) then
+      call problems%add(path, item%line, about//'/'//item%key, 'the key is repeated; it stands on line '// &
+                        to_text(entry%line)//' already')
+      return
+    end if
+    if (entry%level /= level .or. item%subscript == 0) entry%part_given = .false.
+    entry%given = .true.
+    entry%level = level
+    entry%line = item%line
+    entry%path = path
+    if (item%subscript > 0 .and. item%subscript <= most_components) entry%part_given(item%subscript) = .true.
+    if (any(item%values(:item%n)%broken)) return     ! told by the parser
+    call entry%set(item, problem)
+    if (allocated(problem)) call problems%add(path, item%line, about//'/'//item%key, problem)
+  end subroutine fill_entry
+
+  !> Given before in the same file: the whole key, or this component of it.
+  logical function is_repeated(item, level, entry)
+    type(item_t), intent(in) :: item
+    integer, intent(in) :: level
+    type(entry_t), intent(in) :: entry
+    is_repeated = .false.
+    if (.not. entry%given .or. entry%level /= level) return
+    if (item%subscript == 0 .or. .not. any(entry%part_given)) then
+      is_repeated = .true.
+    else if (item%subscript <= most_components) then
+      is_repeated = entry%part_given(item%subscript)
+    end if
+  end function is_repeated
+
+  !> A key like it in this group, or the groups that have a key of this name.
+  function suggestion(table, group, key) result(text)
+    type(schema_t), intent(in) :: table
+    character(len=*), intent(in) :: group, key
+    character(len=:), allocatable :: text
+    integer :: i
+    text = did_you_mean(key, table%keys_of(group))
+    if (len(text) == 0) then
+      do i = 1, table%n
+        if (table%entries(i)%key == key) text = text//merge(' or ', '    ', len(text) > 0)//'&'//trim(table%entries(i)%group)
+      end do
+      if (len(text) > 0) text = '; it is a key of '//trim(adjustl(text))
+    end if
+    text = text//' (allowed: '//table%keys_of(group)//')'
+  end function suggestion
+
+end module castnet_schema_fill
