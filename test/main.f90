@@ -5,7 +5,9 @@ program main
   use test_diagnostics, only: run_test_diagnostics
   use test_perturb, only: run_test_perturb
   use test_rng, only: run_test_rng
+  use test_rotation, only: run_test_rotation
   use test_run_writer, only: run_test_run_writer
+  use test_segment, only: run_test_segment
   use test_shape, only: run_test_shape
   use test_text, only: run_test_text
   use testing, only: finish
@@ -18,7 +20,9 @@ program main
   call run_test_diagnostics()
   call run_test_perturb()
   call run_test_rng()
+  call run_test_rotation()
   call run_test_run_writer()
+  call run_test_segment()
   call run_test_shape()
   call run_test_text()
   call run_verify_contact()

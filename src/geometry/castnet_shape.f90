@@ -11,11 +11,13 @@ module castnet_shape
                                shape_sphere, shape_capsule, shape_compound, shape_mesh
   use castnet_rotation, only: rotation_matrix, normalise_quaternion, multiply, multiply_transposed, congruent
   use castnet_surface, only: surface_t, append_surface
+  use castnet_segment, only: primitive_segments
+  use castnet_compound, only: compound_distance, compound_segments, to_part
   use castnet_tessellation, only: tessellate_primitive
   implicit none
   private
   public :: shape_t, new_shape, new_compound, new_mesh_shape
-  public :: signed_distance, segment_distance
+  public :: signed_distance, segment_distance, swept_contact
   public :: shape_bounding_radius, shape_bounds, shape_volume, shape_centroid, unit_inertia, shape_length
   public :: tessellate, surface_samples
   public :: shape_none, shape_box, shape_cylinder, shape_sphere, shape_capsule, shape_compound, shape_mesh
@@ -29,9 +31,6 @@ module castnet_shape
   interface segment_distance
     module procedure segment_distance_one, segment_distance_many
   end interface segment_distance
-
-  !> Points handled at a time where a part has axes of its own.
-  integer, parameter :: block = 64
 
 contains
 
@@ -141,8 +140,8 @@ contains
   end function dimensions_needed
 
   !> Signed distance (negative inside) and outward unit normal, its gradient, of many
-  !> points in body axes. Exact for primitives; outside of a compound the least of the
-  !> parts' distances.
+  !> points in body axes. Exact for primitives and outside compounds; inside compounds
+  !> see `castnet_compound`.
   pure subroutine signed_distance(shape, n, point, distance, normal)
     type(shape_t), intent(in) :: shape
     integer, intent(in) :: n
@@ -155,83 +154,92 @@ contains
     end if
   end subroutine signed_distance
 
-  pure subroutine compound_distance(parts, n, point, distance, normal)
-    type(primitive_t), intent(in) :: parts(:)
+  !> The point a + (b - a) fraction of each segment that is nearest to, or deepest in, the shape,
+  !> its signed distance and the outward normal there. Where a whole piece is equally near, its middle.
+  !> Exact (rounding) for primitives and outside compounds.
+  pure subroutine segment_distance_many(shape, n, a, b, fraction, distance, normal)
+    type(shape_t), intent(in) :: shape
     integer, intent(in) :: n
-    real(wp), intent(in) :: point(3, n)
-    real(wp), intent(out) :: distance(n), normal(3, n)
-    real(wp) :: local(3, block), d(block), g(3, block)
-    integer :: start, count, i, k
-    do start = 1, n, block
-      count = min(block, n - start + 1)
-      do k = 1, size(parts)
-        call to_part(parts(k), count, point(:, start:start + count - 1), local)
-        call primitive_distance(parts(k)%kind, parts(k)%half, count, local, d, g)
-        do i = 1, count
-          if (k > 1) then
-            if (d(i) >= distance(start + i - 1)) cycle
-          end if
-          distance(start + i - 1) = d(i)
-          normal(:, start + i - 1) = multiply(parts(k)%rotation, g(:, i))
-        end do
-      end do
-    end do
-  end subroutine compound_distance
+    real(wp), intent(in) :: a(3, n), b(3, n)           !! ends, body axes [m]
+    real(wp), intent(out) :: fraction(n), distance(n)  !! 0 to 1 [-], [m]
+    real(wp), intent(out) :: normal(3, n)
+    if (shape%kind == shape_compound) then
+      call compound_segments(shape%parts, n, a, b, fraction, distance, normal)
+    else
+      call primitive_segments(shape%kind, shape%parts(1)%half, n, a, b, fraction, distance, normal)
+    end if
+  end subroutine segment_distance_many
 
-  !> Body axes to a part's own.
-  pure subroutine to_part(part, n, point, local)
-    type(primitive_t), intent(in) :: part
-    integer, intent(in) :: n
-    real(wp), intent(in) :: point(3, n)
-    real(wp), intent(out) :: local(3, n)
-    real(wp) :: x, y, z
-    integer :: i
-    do i = 1, n
-      x = point(1, i) - part%position(1)
-      y = point(2, i) - part%position(2)
-      z = point(3, i) - part%position(3)
-      local(1, i) = part%rotation(1, 1)*x + part%rotation(2, 1)*y + part%rotation(3, 1)*z
-      local(2, i) = part%rotation(1, 2)*x + part%rotation(2, 2)*y + part%rotation(3, 2)*z
-      local(3, i) = part%rotation(1, 3)*x + part%rotation(2, 3)*y + part%rotation(3, 3)*z
-    end do
-  end subroutine to_part
-
-  !> The point a + (b - a) fraction of a segment that is nearest to, or deepest in, the shape.
+  !> The same for one segment; slower than many at once.
   pure subroutine segment_distance_one(shape, a, b, fraction, distance, normal)
     type(shape_t), intent(in) :: shape
     real(wp), intent(in) :: a(3), b(3)            !! ends, body axes [m]
     real(wp), intent(out) :: fraction, distance   !! 0 to 1 [-], [m]
     real(wp), intent(out) :: normal(3)
-    real(wp) :: low, high, t(2), p(3, 2), d(2), g(3, 2)
-    integer :: i
-    low = 0.0_wp
-    high = 1.0_wp
-    do i = 1, 100
-      t = [low + (high - low)/3.0_wp, high - (high - low)/3.0_wp]
-      p(:, 1) = a + (b - a)*t(1)
-      p(:, 2) = a + (b - a)*t(2)
-      call signed_distance(shape, 2, p, d, g)
-      if (d(1) <= d(2)) high = t(2)
-      if (d(2) <= d(1)) low = t(1)
-    end do
-    fraction = 0.5_wp*(low + high)
-    p(:, 1) = a + (b - a)*fraction
-    call signed_distance(shape, 1, p, d, g)
+    real(wp) :: t(1), d(1)
+    call segment_distance_many(shape, 1, a, b, t, d, normal)
+    fraction = t(1)
     distance = d(1)
-    normal = g(:, 1)
   end subroutine segment_distance_one
 
-  !> The same for many segments.
-  pure subroutine segment_distance_many(shape, n, a, b, fraction, distance, normal)
+  !> First contact of nodes that move straight from p0 to p1 in body axes: the least fraction of
+  !> the way at which the signed distance is `limit` or less; 0 for a node that starts there.
+  !> A node that misses has hit false, fraction 1 and the distance at its nearest point.
+  !> Newton's method along the way, which never passes the first contact, because a convex
+  !> solid's signed distance is convex along it. Scalar: meant for the few nodes that could cross.
+  pure subroutine swept_contact(shape, n, p0, p1, limit, fraction, hit, distance, normal)
     type(shape_t), intent(in) :: shape
     integer, intent(in) :: n
-    real(wp), intent(in) :: a(3, n), b(3, n)
-    real(wp), intent(out) :: fraction(n), distance(n), normal(3, n)
-    integer :: i
+    real(wp), intent(in) :: p0(3, n), p1(3, n)         !! [m]
+    real(wp), intent(in) :: limit                      !! [m]
+    real(wp), intent(out) :: fraction(n)               !! [-]
+    logical, intent(out) :: hit(n)
+    real(wp), intent(out) :: distance(n), normal(3, n) !! at the fraction; [m], [-]
+    real(wp) :: t, d(1)
+    integer :: i, k
     do i = 1, n
-      call segment_distance_one(shape, a(:, i), b(:, i), fraction(i), distance(i), normal(:, i))
+      fraction(i) = 1.0_wp
+      hit(i) = .false.
+      do k = 1, size(shape%parts)
+        call swept_part(shape%parts(k), p0(:, i), p1(:, i), limit, t)
+        if (t > 1.0_wp) cycle
+        hit(i) = .true.
+        fraction(i) = min(fraction(i), t)
+      end do
+      if (hit(i)) then
+        call signed_distance(shape, 1, p0(:, i) + (p1(:, i) - p0(:, i))*fraction(i), d, normal(:, i))
+        distance(i) = d(1)
+      else
+        call segment_distance_one(shape, p0(:, i), p1(:, i), t, distance(i), normal(:, i))
+      end if
     end do
-  end subroutine segment_distance_many
+  end subroutine swept_contact
+
+  !> The same for one node and one convex part; fraction 2: none.
+  pure subroutine swept_part(part, p0, p1, limit, fraction)
+    type(primitive_t), intent(in) :: part
+    real(wp), intent(in) :: p0(3), p1(3), limit
+    real(wp), intent(out) :: fraction
+    integer, parameter :: most_steps = 60  ! a grazing way (double root) gains one bit a step
+    real(wp) :: first(3), last(3), v(3), nearest(1), d(1), g(3), rate
+    integer :: k
+    call to_part(part, 1, p0, first)
+    call to_part(part, 1, p1, last)
+    fraction = 2.0_wp
+    call primitive_segments(part%kind, part%half, 1, first, last, nearest, d, g)
+    if (d(1) > limit) return
+    v = last - first
+    fraction = 0.0_wp
+    do k = 1, most_steps
+      call primitive_distance(part%kind, part%half, 1, first + v*fraction, d, g)
+      if (d(1) <= limit) return
+      rate = g(1)*v(1) + g(2)*v(2) + g(3)*v(3)
+      if (rate >= 0.0_wp) return
+      if (fraction - (d(1) - limit)/rate <= fraction) return
+      fraction = min(nearest(1), fraction - (d(1) - limit)/rate)
+      if (fraction >= nearest(1)) return
+    end do
+  end subroutine swept_part
 
   !> Radius of a ball about the body's origin that holds the shape [m].
   pure real(wp) function shape_bounding_radius(shape) result(radius)
