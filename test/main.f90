@@ -1,5 +1,6 @@
 !> Every unit and verification test. One line per suite; `fpm @check -- contact` filters.
 program main
+  use test_checkpoint, only: run_test_checkpoint
   use test_contact, only: run_test_contact
   use test_convex_hull, only: run_test_convex_hull
   use test_diagnostics, only: run_test_diagnostics
@@ -15,6 +16,7 @@ program main
   use verify_torque_free, only: run_verify_torque_free
   use test_scene_file, only: run_test_scene_file
   implicit none
+  call run_test_checkpoint()
   call run_test_contact()
   call run_test_convex_hull()
   call run_test_diagnostics()
