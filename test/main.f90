@@ -1,5 +1,6 @@
 !> Every unit and verification test. One line per suite; `fpm @check -- contact` filters.
 program main
+  use test_capture_measures, only: run_test_capture_measures
   use test_checkpoint, only: run_test_checkpoint
   use test_contact, only: run_test_contact
   use test_convex_hull, only: run_test_convex_hull
@@ -8,14 +9,15 @@ program main
   use test_rng, only: run_test_rng
   use test_rotation, only: run_test_rotation
   use test_run_writer, only: run_test_run_writer
+  use test_scene_file, only: run_test_scene_file
   use test_segment, only: run_test_segment
   use test_shape, only: run_test_shape
   use test_text, only: run_test_text
   use testing, only: finish
   use verify_contact, only: run_verify_contact
   use verify_torque_free, only: run_verify_torque_free
-  use test_scene_file, only: run_test_scene_file
   implicit none
+  call run_test_capture_measures()
   call run_test_checkpoint()
   call run_test_contact()
   call run_test_convex_hull()
@@ -24,11 +26,11 @@ program main
   call run_test_rng()
   call run_test_rotation()
   call run_test_run_writer()
+  call run_test_scene_file()
   call run_test_segment()
   call run_test_shape()
   call run_test_text()
   call run_verify_contact()
   call run_verify_torque_free()
-  call run_test_scene_file()
   call finish()
 end program main
