@@ -15,6 +15,7 @@ program main
   use test_text, only: run_test_text
   use testing, only: finish
   use verify_contact, only: run_verify_contact
+  use verify_environment, only: run_verify_environment
   use verify_torque_free, only: run_verify_torque_free
   implicit none
   call run_test_capture_measures()
@@ -31,6 +32,7 @@ program main
   call run_test_shape()
   call run_test_text()
   call run_verify_contact()
+  call run_verify_environment()
   call run_verify_torque_free()
   call finish()
 end program main

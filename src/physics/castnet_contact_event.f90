@@ -154,6 +154,10 @@ contains
     if (body%free) then
       state%target%velocity = state%target%velocity + twist(1:3)
       state%target%angular_velocity = state%target%angular_velocity + multiply_transposed(r, twist(4:6))
+      ! Impulses against the orbital frame, which turns at W = (0,-n,0), do the work
+      ! W . (change of the spin's momentum) on the inertial spin besides their own loss.
+      if (abs(model%orbit_rate) > 0.0_wp) state%ledger%external_work = state%ledger%external_work - model%orbit_rate* &
+          (body%inertia(2, 1)*twist(4) + body%inertia(2, 2)*twist(5) + body%inertia(2, 3)*twist(6))
     end if
     call keep_books(model, state, work)
   end subroutine exchange_impulses

@@ -73,6 +73,7 @@ contains
     real(wp), intent(in) :: h !! [s]
     type(body_state_t), allocatable :: body
     type(body_rate_t) :: k(4)
+    real(wp) :: power(4)  !! taken by the cables' damping at each stage [W]
     logical :: has_net, moves
     integer :: n
 
@@ -86,35 +87,35 @@ contains
     if (allocated(work%cables%extra)) call gather_extra_force(model, n, state%node_position, state%node_velocity, &
         body, state%closing, work%cables%extra, work%body_force, work%body_torque)
     if (moves) k(1) = body_rate(model, body, work%body_force, work%body_torque)
-    if (has_net) then
-      call sweep(model, work%cables, stage_first, n, 0.5_wp*h, state%node_position, state%node_velocity, &
-                 work%xb, work%vb, work%xa, work%va, work%sum_x, work%sum_v, .true.)
-      state%ledger%dissipated = state%ledger%dissipated + h*damping_power(work%cables)
-    end if
+    if (has_net) call sweep(model, work%cables, stage_first, n, 0.5_wp*h, state%node_position, state%node_velocity, &
+        work%xb, work%vb, work%xa, work%va, work%sum_x, work%sum_v, power(1))
 
     if (moves) body = body_advance(state%target, k(1), 0.5_wp*h)
     if (allocated(work%cables%extra)) call gather_extra_force(model, n, work%xa, work%va, &
         body, state%closing, work%cables%extra, work%body_force, work%body_torque)
     if (moves) k(2) = body_rate(model, body, work%body_force, work%body_torque)
     if (has_net) call sweep(model, work%cables, stage_middle, n, 0.5_wp*h, work%xa, work%va, &
-        state%node_position, state%node_velocity, work%xb, work%vb, work%sum_x, work%sum_v, .false.)
+        state%node_position, state%node_velocity, work%xb, work%vb, work%sum_x, work%sum_v, power(2))
 
     if (moves) body = body_advance(state%target, k(2), 0.5_wp*h)
     if (allocated(work%cables%extra)) call gather_extra_force(model, n, work%xb, work%vb, &
         body, state%closing, work%cables%extra, work%body_force, work%body_torque)
     if (moves) k(3) = body_rate(model, body, work%body_force, work%body_torque)
     if (has_net) call sweep(model, work%cables, stage_middle, n, h, work%xb, work%vb, &
-        state%node_position, state%node_velocity, work%xa, work%va, work%sum_x, work%sum_v, .false.)
+        state%node_position, state%node_velocity, work%xa, work%va, work%sum_x, work%sum_v, power(3))
 
     if (moves) body = body_advance(state%target, k(3), h)
     if (allocated(work%cables%extra)) call gather_extra_force(model, n, work%xa, work%va, &
         body, state%closing, work%cables%extra, work%body_force, work%body_torque)
     if (moves) then
       k(4) = body_rate(model, body, work%body_force, work%body_torque)
+      state%ledger%external_work = state%ledger%external_work + torque_work(model, state%target, k(1), k(2), k(3), h)
       call body_rk4(state%target, k(1), k(2), k(3), k(4), h)
     end if
     if (has_net) call sweep(model, work%cables, stage_last, n, h/6.0_wp, work%xa, work%va, &
-        state%node_position, state%node_velocity, work%xb, work%vb, work%sum_x, work%sum_v, .false.)
+        state%node_position, state%node_velocity, work%xb, work%vb, work%sum_x, work%sum_v, power(4))
+    if (has_net) state%ledger%dissipated = state%ledger%dissipated &
+        + h/6.0_wp*((power(1) + 2.0_wp*(power(2) + power(3))) + power(4))
     state%force_evaluations = state%force_evaluations + 4
   end subroutine rk4_step
 
@@ -137,6 +138,7 @@ contains
     type(flow_work_t), intent(inout) :: work
     real(wp), intent(in) :: h !! [s]
     type(body_state_t), allocatable :: body
+    real(wp) :: power  !! taken by the cables' damping [W]
     logical :: moves, coupled
     integer :: n
 
@@ -148,13 +150,13 @@ contains
       if (.not. work%midpoint_ready) work%xa = state%node_position + (0.5_wp*h)*state%node_velocity
       if (coupled) then
         if (allocated(state%target)) body = state%target
-        if (moves) call body_flow(model, body, 0.5_wp*h)
+        if (moves) call body_flow(model, body, 0.5_wp*h, state%ledger%external_work)
         call gather_extra_force(model, n, work%xa, state%velocity_ahead, body, state%closing, &
                                 work%cables%extra, work%body_force, work%body_torque)
       end if
       call sweep(model, work%cables, stage_kick, n, h, work%xa, state%velocity_ahead, &
-                 state%node_position, state%node_velocity, work%xb, work%vb, work%sum_x, work%sum_v, .true.)
-      state%ledger%dissipated = state%ledger%dissipated + h*damping_power(work%cables)
+                 state%node_position, state%node_velocity, work%xb, work%vb, work%sum_x, work%sum_v, power)
+      state%ledger%dissipated = state%ledger%dissipated + h*power
       call swap(work%xa, work%xb)    ! xa: the next midpoint, xb: this one
       call swap(state%velocity_ahead, work%vb)
       work%midpoint_ready = .true.
@@ -164,10 +166,10 @@ contains
     if (.not. moves) return
     if (coupled) then
       call body_kick(model%target, body, h*work%body_force, h*work%body_torque)
-      call body_flow(model, body, 0.5_wp*h)
+      call body_flow(model, body, 0.5_wp*h, state%ledger%external_work)
       state%target = body
     else
-      call body_flow(model, state%target, h)
+      call body_flow(model, state%target, h, state%ledger%external_work)
     end if
   end subroutine midpoint_step
 
@@ -200,22 +202,38 @@ contains
   end subroutine swap
 
   !> The target alone over h, by one Runge-Kutta step.
-  subroutine body_flow(model, body, h)
+  subroutine body_flow(model, body, h, work_done)
     type(model_t), intent(in) :: model
     type(body_state_t), intent(inout) :: body
     real(wp), intent(in) :: h
+    real(wp), intent(inout) :: work_done  !! by the external torque, added to [J]
     type(body_rate_t) :: k1, k2, k3, k4
     real(wp), parameter :: none(3) = 0.0_wp
     k1 = body_rate(model, body, none, none)
     k2 = body_rate(model, body_advance(body, k1, 0.5_wp*h), none, none)
     k3 = body_rate(model, body_advance(body, k2, 0.5_wp*h), none, none)
     k4 = body_rate(model, body_advance(body, k3, h), none, none)
+    work_done = work_done + torque_work(model, body, k1, k2, k3, h)
     call body_rk4(body, k1, k2, k3, k4, h)
   end subroutine body_flow
 
+  !> Work of the external torque over a step that starts at `body` [J]: the torque times the
+  !> integral of w by the step's own rule, h (w1 + 2 w2 + 2 w3 + w4)/6.
+  pure real(wp) function torque_work(model, body, k1, k2, k3, h)
+    type(model_t), intent(in) :: model
+    type(body_state_t), intent(in) :: body
+    type(body_rate_t), intent(in) :: k1, k2, k3
+    real(wp), intent(in) :: h
+    real(wp) :: turn(3)
+    turn = h*(body%angular_velocity + h/6.0_wp*(k1%angular_velocity + k2%angular_velocity + k3%angular_velocity))
+    associate (torque => model%target%external_torque)
+      torque_work = torque(1)*turn(1) + torque(2)*turn(2) + torque(3)*turn(3)
+    end associate
+  end function torque_work
+
   !> One stage over all nodes. x, v: the stage's state. x0, v0: the step's start and, at
   !> the last stage, its end. sum_x, sum_v: slopes. No two of the arrays are the same.
-  subroutine sweep(model, cables, stage, n_pad, h, x, v, x0, v0, x_out, v_out, sum_x, sum_v, with_power)
+  subroutine sweep(model, cables, stage, n_pad, h, x, v, x0, v0, x_out, v_out, sum_x, sum_v, power)
     type(model_t), intent(in) :: model
     type(cable_work_t), intent(inout) :: cables
     integer, intent(in) :: stage, n_pad
@@ -223,7 +241,7 @@ contains
     real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)
     real(wp), intent(inout) :: x0(n_pad, 3), v0(n_pad, 3), x_out(n_pad, 3), v_out(n_pad, 3)
     real(wp), intent(inout) :: sum_x(n_pad, 3), sum_v(n_pad, 3)
-    logical, intent(in) :: with_power
+    real(wp), intent(out) :: power  !! taken by the damping of all cables [W]
     real(wp) :: floor_tension
     integer :: s
 
@@ -235,20 +253,22 @@ contains
     end associate
     if (size(cables%slabs) == 1) then
       call sweep_slab(model, cables, cables%slabs(1), stage, n_pad, h, floor_tension, x, v, x0, v0, &
-                      x_out, v_out, sum_x, sum_v, with_power)
+                      x_out, v_out, sum_x, sum_v)
     else
       !$omp parallel do default(shared) private(s) schedule(static, 1) num_threads(size(cables%slabs))
       do s = 1, size(cables%slabs)
         call sweep_slab(model, cables, cables%slabs(s), stage, n_pad, h, floor_tension, x, v, x0, v0, &
-                        x_out, v_out, sum_x, sum_v, with_power)
+                        x_out, v_out, sum_x, sum_v)
       end do
       !$omp end parallel do
     end if
+    power = sum_in_order(size(cables%chunk_power), cables%chunk_power) &
+            + sum_in_order(size(cables%loose_power), cables%loose_power)
   end subroutine sweep
 
   !> The chunks of one slab.
   subroutine sweep_slab(model, cables, slab, stage, n_pad, h, floor_tension, x, v, x0, v0, &
-                        x_out, v_out, sum_x, sum_v, with_power)
+                        x_out, v_out, sum_x, sum_v)
     type(model_t), intent(in) :: model
     type(cable_work_t), intent(inout) :: cables
     type(slab_t), intent(inout) :: slab
@@ -257,8 +277,7 @@ contains
     real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)
     real(wp), intent(inout) :: x0(n_pad, 3), v0(n_pad, 3), x_out(n_pad, 3), v_out(n_pad, 3)
     real(wp), intent(inout) :: sum_x(n_pad, 3), sum_v(n_pad, 3)
-    logical, intent(in) :: with_power
-    real(wp) :: a(chunk_size, 3), power
+    real(wp) :: a(chunk_size, 3)
     integer :: b, m, c
     logical :: has_field
 
@@ -268,8 +287,7 @@ contains
       call slab_halo(plan, slab, n_pad, x, v, floor_tension)
       do b = slab%first, slab%last, chunk_size
         m = min(chunk_size, slab%last - b + 1)
-        call chunk_cables(plan, slab, b, b + m - 1, n_pad, x, v, floor_tension, power)
-        if (with_power) cables%chunk_power((b - 1)/chunk_size + 1) = power
+        call chunk_cables(plan, slab, b, b + m - 1, n_pad, x, v, floor_tension, cables%chunk_power((b - 1)/chunk_size + 1))
         call chunk_force(plan, slab, b, b + m - 1, cables%loose_force, a)
         if (allocated(cables%extra)) a(:m, :) = a(:m, :) + cables%extra(b:b + m - 1, :)
         ! Without a field, the update itself divides by the mass: one pass less.
@@ -298,7 +316,7 @@ contains
     real(wp), intent(in) :: inverse_mass(m)
     real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)
     real(wp), intent(inout) :: a(chunk_size, 3)
-    real(wp) :: frame(3)
+    real(wp) :: frame(3), here(3), speed(3)
     integer :: c, k
 
     do c = 1, 3
@@ -313,7 +331,9 @@ contains
     end do
     if (model%orbit_rate /= 0.0_wp) then
       do k = 1, m
-        frame = orbital_acceleration(model%orbit_rate, x(b + k - 1, :), v(b + k - 1, :))
+        here = x(b + k - 1, :)
+        speed = v(b + k - 1, :)
+        frame = orbital_acceleration(model%orbit_rate, here, speed)
         if (inverse_mass(k) > 0.0_wp) a(k, :) = a(k, :) + frame
       end do
     end if
@@ -378,12 +398,5 @@ contains
       v_out(k) = v0(k) + half*a
     end do
   end subroutine update_kick
-
-  !> Power taken by the damping of all cables at the last sweep that asked for it [W].
-  real(wp) function damping_power(cables) result(power)
-    type(cable_work_t), intent(in) :: cables
-    power = sum_in_order(size(cables%chunk_power), cables%chunk_power) &
-            + sum_in_order(size(cables%loose_power), cables%loose_power)
-  end function damping_power
 
 end module castnet_integrator

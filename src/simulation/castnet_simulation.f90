@@ -192,7 +192,6 @@ contains
               + max(0.0_wp, ledger%external_work)
     end associate
     if (energy <= explosion*given + tiny(1.0_wp)) return
-    if (any(sim%model%gravity /= 0.0_wp) .or. sim%model%orbit_rate /= 0.0_wp) return
     associate (v => sim%state%node_velocity, n => sim%model%net%n_node)
       speed = v(:n, 1)**2 + v(:n, 2)**2 + v(:n, 3)**2
       node = maxloc(speed, dim=1)

@@ -4,6 +4,7 @@ module castnet_stepper
   use castnet_kinds, only: wp
   use castnet_error, only: error_t
   use castnet_contact_event, only: contact_work_t, new_contact_work, handle_contacts
+  use castnet_external_work, only: has_net_field, has_external_potential, external_potential
   use castnet_integrator, only: flow_work_t, new_flow_work, rk4_step, midpoint_step, midpoint_positions, midpoint_disturbed
   use castnet_model, only: model_t, method_midpoint
   use castnet_state, only: state_t
@@ -18,6 +19,8 @@ module castnet_stepper
   type :: work_t
     type(flow_work_t) :: flow
     type(contact_work_t) :: contact
+    logical :: has_potential = .false.             !! something outside does work
+    logical :: has_field = .false.                 !! and it needs the nodes' positions
     real(wp), allocatable :: velocity_before(:, :) !! (n_pad,3) before the impulses, method 'midpoint' with contact only [m/s]
   end type work_t
 
@@ -33,6 +36,8 @@ contains
       if (model%net%n_node >= nodes_worth_threads) used = n_thread
     end if
     call new_flow_work(work%flow, model, used)
+    work%has_potential = has_external_potential(model)
+    work%has_field = has_net_field(model)
     if (.not. allocated(model%contact)) return
     call new_contact_work(work%contact, model)
     if (model%method == method_midpoint) allocate (work%velocity_before(model%net%n_pad, 3))
@@ -44,11 +49,18 @@ contains
     type(state_t), intent(inout) :: state
     type(work_t), intent(inout) :: work
     type(error_t), allocatable, intent(inout) :: error
+    real(wp) :: potential
 
+    potential = 0.0_wp
+    if (work%has_potential) potential = external_potential(model, state)
     if (model%method == method_midpoint) then
       call midpoint_step(model, state, work%flow, model%step)
     else
       call rk4_step(model, state, work%flow, model%step)
+    end if
+    if (work%has_potential) then
+      if (work%has_field) call settle(model, state, work)
+      state%ledger%external_work = state%ledger%external_work + (potential - external_potential(model, state))
     end if
     state%step = state%step + 1
     state%time = real(state%step, wp)*model%step
