@@ -242,12 +242,7 @@ def figure_deployment(book, _):
     for axis, (label, name) in zip(axes, DEPLOYMENT.items()):
         run = book[name]
         area = mouth_area(run)
-        squares = len(run.static["faces"])
-        start = run.data["node_position"].values[0]
-        full = mouth_area(run)[0] / (np.ptp(start[np.asarray(run.static["perimeter_nodes"], int), 1])
-                                     * np.ptp(start[np.asarray(run.static["perimeter_nodes"], int), 2]))
-        length = float(np.max(run.static["natural_length"][: -4]))
-        area_full = squares * length**2 * full
+        area_full = len(run.static["faces"]) * float(np.median(run.static["natural_length"])) ** 2
         axis.plot(run.time, area / area_full, color="#1f4e79")
         axis.axhline(0.8, color="0.6", linewidth=0.8, linestyle=":")
         peak = int(area.argmax())
