@@ -108,7 +108,7 @@ class Scene3D:
             self.largest_tension = float(np.quantile(run.data["cable_tension"].values.max(axis=1), 0.9))
         if self.solid is not None:
             self.target_radius = float(np.linalg.norm(self.solid[0], axis=1).max())
-            self.triangles = refine(*self.solid, self.target_radius / 9)
+            self.triangles = refine(*self.solid, self.target_radius / 12)
             self.creases = creases(*self.solid)
 
     def camera(self, frame: int, close_up=False, **angles) -> Camera:
@@ -190,7 +190,7 @@ class Scene3D:
         bias = self.bias(camera)
         for face in np.asarray(run.static.get("faces", np.empty((0, 4))), int):
             picture, depth = camera.project(position[face])
-            primitives.append((depth.mean() - 0.2 * bias, picture, (*SLACK, 0.07), "none", 0.0))
+            primitives.append((depth.mean() - bias, picture, (*SLACK, 0.06), "none", 0.0))
         if len(run.cables):
             tension = data["cable_tension"].values[frame] if "cable_tension" in data else np.zeros(len(run.cables))
             colour = tension_colours(tension, self.largest_tension)
@@ -199,6 +199,11 @@ class Scene3D:
             picture, depth = camera.project(ends[:, 0] * (1 - pieces) + ends[:, 1] * pieces)
             stiff = np.asarray(run.static.get("axial_stiffness", np.ones(len(run.cables))), float)
             thick = width * np.where(stiff > 2 * np.median(stiff), 1.7, 1.0)
+            if self.solid is not None:
+                # What the body hides shines through a little: one sees where the net runs behind
+                # it, and that with contact at the nodes alone cables cut the body's corners.
+                for line in picture.transpose(1, 0, 2):
+                    primitives.append((np.inf, line[[0, -1]], "none", (*(SLACK * 0.7), 0.22), 0.55 * width))
             for k in range(len(pieces) - 1):
                 middle = depth[k:k + 2].mean(axis=0)
                 fade = np.clip(0.45 - 0.35 * middle, 0.0, 0.6)[:, None]

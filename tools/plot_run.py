@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """One page of pictures of any castnet run.
 
-    plot_run.py RUN.h5 [--output PICTURE.png] [--times 0.3 0.7 1.5 3]
+    plot_run.py RUN.h5 [--output PICTURE.png] [--times 0.5 1.1 1.8]
 
 Snapshots in 3-D and a close-up of the end, the target's motion, impulses, energy
 ledger, cable tension and capture measures. What the run does not hold does not appear.
@@ -19,14 +19,14 @@ from castnet_reader import VERDICTS, Run
 
 
 def snapshot_times(run: Run, wanted: list[float] | None) -> list[float]:
-    """Four times: as wanted, or the start of the opening, first contact, and on to the end."""
+    """Three times: as wanted, or half-way to the first contact, there, and some time after it."""
     if wanted:
         return wanted
     first, end = float(run.time[0]), float(run.time[-1])
     touch = run.first_contact
     if np.isfinite(touch) and touch < end:
-        return [first + 0.45 * (touch - first), touch, touch + 0.25 * (end - touch), end]
-    return list(np.linspace(first, end, 5)[1:])
+        return [first + 0.5 * (touch - first), touch, touch + 0.3 * (end - touch)]
+    return list(np.linspace(first, end, 5)[1:4])
 
 
 def panel_position(axis, run):
@@ -49,7 +49,7 @@ def panel_spin(axis, run):
 def panel_impulses(axis, run):
     history = run.history
     for name, colour, label in (("max_bullet_impulse", "#b9770e", "bullets"), ("max_impulse", "#1f4e79", "nodes")):
-        if name in history:
+        if name in history and (history[name].values > 0).any():
             value = history[name].values
             hit = value > 0
             axis.plot(history.time.values[hit], value[hit], ".", markersize=2.6, color=colour, label=label)
@@ -60,17 +60,21 @@ def panel_impulses(axis, run):
 def panel_energy(axis, run):
     history = run.history
     names = {
-        "kinetic_net": ("net, kinetic", "#2471a3"), "kinetic_target": ("target, kinetic", "#9a6a00"),
+        "kinetic_net": ("net, kinetic", "#2471a3"), "kinetic_target": ("target, kinetic (change)", "#9a6a00"),
         "elastic": ("elastic", "#c0392b"), "dissipated": ("lost in cables", "#7d3c98"),
         "contact_loss": ("lost at contacts", "#566573"), "winch_work": ("winch work", "#1e8449"),
         "projection_work": ("projection work", "#cc6699"), "external_work": ("external work", "#117a65"),
     }
-    largest = max(float(np.abs(history[n].values).max()) for n in names if n in history)
-    for name, (label, colour) in names.items():
-        if name in history and np.abs(history[name].values).max() > 1e-4 * largest:
-            axis.plot(history.time, history[name], color=colour, label=label)
+    # A tumbling rocket's own energy would dwarf all that happens: its change is shown.
+    values = {name: history[name].values for name in names if name in history}
+    if "kinetic_target" in values:
+        values["kinetic_target"] = values["kinetic_target"] - values["kinetic_target"][0]
+    largest = max(float(np.abs(value).max()) for value in values.values())
+    for name, value in values.items():
+        if np.abs(value).max() > 1e-3 * largest:
+            axis.plot(history.time, value, color=names[name][1], label=names[name][0])
     axis.set(title="energy", ylabel="J")
-    axis.legend(ncols=2)
+    axis.legend(ncols=2, fontsize=6.5)
 
 
 def panel_tension(axis, run):
@@ -87,18 +91,37 @@ def panel_tension(axis, run):
     twin.grid(False)
 
 
+MEASURES = (("coverage", "coverage", "", "#1e8449", 1.0), ("largest_hole", "largest hole", "deg", "#9a6a00", 1 / 180),
+            ("escape", "escape", "", "#c0392b", 1.0), ("cqi", "CQI", "", "#7d3c98", 0.1))
+
+
 def panel_measures(axis, run):
     measures = run.measures
     time = measures.verdict_time.values
-    marker = "o-" if time.size < 30 else "-"
-    for name, label, colour, scale in (
-        ("coverage", "coverage", "#1e8449", 1.0), ("largest_hole", "largest hole / 180 deg", "#9a6a00", 1 / 180),
-        ("escape", "escape", "#c0392b", 1.0), ("cqi", "CQI", "#7d3c98", 1.0),
-    ):
-        if name in measures:
-            axis.plot(time, measures[name].values * scale, marker, markersize=3.5, color=colour, label=label)
-    axis.set(title="capture measures at the verdict times", ylim=(-0.03, None), xlim=(run.time[0], run.time[-1] * 1.03))
+    axis.set_title("capture measures at the verdict times")
+    if time.size <= 4:
+        write_measures(axis, measures)
+        return
+    for name, label, _, colour, scale in MEASURES:
+        words = label + {1.0: "", 0.1: " / 10"}.get(scale, " / 180 deg")
+        axis.plot(time, measures[name].values * scale, color=colour, label=words)
+    axis.set(ylim=(-0.03, None), xlim=(run.time[0], run.time[-1] * 1.03))
     axis.legend(ncols=2)
+
+
+def write_measures(axis, measures):
+    """A few verdicts are a table, not a plot."""
+    axis.axis("off")
+    lines = [("time", [f"{t:.3g} s" for t in measures.verdict_time.values])]
+    lines += [(label, [f"{value:.3g} {unit}".strip() for value in measures[name].values]) for name, label, unit, *_ in MEASURES]
+    lines += [("mouth area", [f"{value:.3g} m²" for value in measures["mouth_area"].values]),
+              ("verdict", [VERDICTS.get(int(value), "?") for value in measures["verdict"].values])]
+    for row, (label, values) in enumerate(lines):
+        y = 0.93 - 0.14 * row
+        axis.text(0.02, y, label, transform=axis.transAxes, va="center", color="0.35")
+        for column, value in enumerate(values):
+            axis.text(0.45 + 0.27 * column, y, value, transform=axis.transAxes, va="center",
+                      fontweight="bold" if label == "verdict" else "normal")
 
 
 def panels(run: Run) -> list:
@@ -146,23 +169,27 @@ def plot_run(run: Run, times: list[float] | None = None):
         scene = Scene3D(run)
         upper = figure.add_gridspec(2, 4, left=0.02, right=0.985, top=1 - 0.5 / height, bottom=1 - (top - 0.35) / height,
                                     wspace=0.03, hspace=0.09)
-        for place, time in zip(((0, 0), (0, 1), (1, 0), (1, 1)), snapshot_times(run, times)):
+        for place, time in zip(((0, 0), (0, 1), (1, 0)), snapshot_times(run, times)):
             axis = figure.add_subplot(upper[place])
             frame = run.frame(time)
             scale_bar(axis, scene.draw(axis, frame, width=0.8))
             axis.set_title(f"t = {run.time[frame]:.3g} s", y=0.96)
+        axis = figure.add_subplot(upper[1, 1])
+        scale_bar(axis, scene.draw(axis, -1, scene.camera(-1, azimuth=118.0), width=0.8))
+        axis.set_title(f"t = {run.time[-1]:.3g} s, from the other side", y=0.96)
         axis = figure.add_subplot(upper[:, 2:])
         scale_bar(axis, scene.draw(axis, -1, scene.camera(-1, close_up=True), width=1.6))
-        axis.set_title(f"the end, t = {run.time[-1]:.3g} s", y=0.98)
+        axis.set_title(f"t = {run.time[-1]:.3g} s", y=0.98)
         if scene.largest_tension > 0:
             tension_legend(figure, (0.80, 1 - (top - 0.15) / height, 0.16, 0.08 / height), scene.largest_tension)
     if rows:
         lower = figure.add_gridspec(rows, 4, left=0.05, right=0.955, top=1 - (top + 0.55) / height, bottom=0.5 / height,
-                                    wspace=0.32, hspace=0.5)
+                                    wspace=0.36, hspace=0.5)
         for number, draw in enumerate(chosen):
             axis = figure.add_subplot(lower[number // 4, number % 4])
             draw(axis, run)
-            mark_contact(axis, run)
+            if axis.axison:
+                mark_contact(axis, run)
             if number >= len(chosen) - 4:
                 axis.set_xlabel("time [s]")
     return figure
@@ -172,7 +199,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("run", help="result file of castnet run")
     parser.add_argument("-o", "--output", help="picture to write (default: the run's name with .png)")
-    parser.add_argument("--times", type=float, nargs=4, metavar="T", help="times of the four snapshots [s]")
+    parser.add_argument("--times", type=float, nargs=3, metavar="T", help="times of the three snapshots before the end [s]")
     arguments = parser.parse_args()
     try:
         run = Run(arguments.run)
