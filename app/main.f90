@@ -18,8 +18,14 @@ program main
   type(text_t), allocatable :: overrides(:)
   character(len=:), allocatable :: warnings
   character(len=4096) :: word, path
-  integer :: i
-  allocate (overrides(0))
+  integer :: i, n
+  n = 0
+  do i = 1, command_argument_count()
+    call get_command_argument(i, word)
+    if (word == '--set') n = n + 1
+  end do
+  allocate (overrides(n))
+  n = 0
   call get_command_argument(2, path)
   i = 3
   do while (i < command_argument_count())
@@ -29,7 +35,8 @@ program main
       options%output = trim(word)
     else if (word == '--set') then
       call get_command_argument(i + 1, word)
-      overrides = [overrides, text_t(trim(word))]
+      n = n + 1
+      overrides(n)%chars = trim(word)
     end if
     i = i + 2
   end do
