@@ -5,13 +5,14 @@ module castnet_hdf5_reader
   use hdf5, only: hid_t, hsize_t, h5dopen_f, h5dclose_f, h5dget_space_f, h5dget_type_f, h5dread_f, h5sclose_f, &
                   h5tget_class_f, h5tclose_f, h5sget_simple_extent_ndims_f, h5sget_simple_extent_dims_f, &
                   h5sget_simple_extent_type_f, h5lexists_f, h5oget_info_by_name_f, h5o_info_t, h5o_type_dataset_f, &
+                  h5gn_members_f, h5gget_obj_info_idx_f, h5t_enum_f, &
                   h5t_integer_f, h5t_float_f, h5s_scalar_f, h5s_simple_f
   use castnet_kinds, only: wp, i8
   use castnet_error, only: error_t, fail, exit_file
   use castnet_hdf5_file, only: hdf5_file_t, memory_type, kind_double, kind_long
   implicit none
   private
-  public :: dataset_t, ask_dataset, read_doubles, read_longs, class_none, class_integer, class_real, class_other
+  public :: dataset_t, ask_dataset, list_members, read_doubles, read_longs, class_none, class_integer, class_real, class_other
 
   integer, parameter :: class_none = 0, class_integer = 1, class_real = 2, class_other = 3
   integer, parameter :: most_rank = 32  !! HDF5's own limit
@@ -41,7 +42,8 @@ contains
     call h5dget_type_f(id, type_id, status)
     if (status >= 0) then
       call h5tget_class_f(type_id, class, status)
-      if (status >= 0 .and. class == h5t_integer_f) found%class = class_integer
+      ! numpy's bool is an enumeration of integers
+      if (status >= 0 .and. (class == h5t_integer_f .or. class == h5t_enum_f)) found%class = class_integer
       if (status >= 0 .and. class == h5t_float_f) found%class = class_real
       call h5tclose_f(type_id, status)
     end if
@@ -89,6 +91,27 @@ contains
     is_dataset = status >= 0
     if (is_dataset) is_dataset = info%type == h5o_type_dataset_f
   end function is_dataset
+
+  !> Names of what a group holds, separated by blanks; '' when there is no such group. Names
+  !> with blanks in them come with '_' instead.
+  function list_members(file, path) result(names)
+    type(hdf5_file_t), intent(in) :: file
+    character(len=*), intent(in) :: path
+    character(len=:), allocatable :: names
+    character(len=256) :: name
+    integer :: n, i, k, kind, status
+    names = ''
+    call h5gn_members_f(file%root%id, path, n, status)
+    if (status < 0) return
+    do i = 0, min(n, 1000) - 1
+      call h5gget_obj_info_idx_f(file%root%id, path, i, name, kind, status)
+      if (status < 0) cycle
+      do k = 1, len_trim(name)
+        if (name(k:k) <= ' ') name(k:k) = '_'
+      end do
+      names = names//' '//trim(name)
+    end do
+  end function list_members
 
   !> All values of a numeric dataset as doubles, Fortran order.
   subroutine read_doubles(file, path, n, values, error)
