@@ -17,12 +17,18 @@ module castnet_cable_force
 
   integer, parameter :: chunk_size = 128  !! nodes; all of a chunk's data stay in the first cache
   integer, parameter :: lanes = 8         !! partial sums of a fixed-order sum
+  integer, parameter :: n_full = 2        !! diagonals that every node has room for: all those of a square net
   real(wp), parameter :: smallest_square = 1.0e-60_wp !! keeps the reciprocal of a length finite [m2]
 
-  !> A range of nodes that one thread works on, with the forces of its cables.
+  !> A range of nodes that one thread works on, with the forces of its cables on their
+  !> first ends. The first two diagonals have a row for every node, zero where no cable
+  !> begins, which saves the kernel all comparisons. Other nets may have hundreds of short
+  !> diagonals: those have rows for their cables only.
   type :: slab_t
     integer :: first = 1, last = 0          !! nodes; first is at the start of a chunk
-    real(wp), allocatable :: force(:, :, :) !! (first-max_offset:last,3,n_diagonal) on the first end of cable (a, a+offset) [N]
+    real(wp), allocatable :: force(:, :, :) !! (first-reach:last,3,2) of cable (a, a+offset) [N]
+    integer, allocatable :: base(:)         !! (n_diagonal) from the third on, the cable from a is row base + a of
+    real(wp), allocatable :: rest(:, :)     !! (:,3) [N]
   end type slab_t
 
 contains
@@ -32,15 +38,26 @@ contains
     type(slab_t), allocatable, intent(out) :: slabs(:)
     type(cable_plan_t), intent(in) :: plan
     integer, intent(in) :: n_node, n_slab
-    integer :: n_chunk, s, used
+    integer :: n_chunk, s, used, d, begin, finish, rows, reach
 
+    reach = 0
+    if (plan%n_diagonal > 0) reach = maxval(plan%offset(:min(n_full, plan%n_diagonal)))
     n_chunk = (n_node + chunk_size - 1)/chunk_size
     used = max(1, min(n_slab, n_chunk))
     allocate (slabs(used))
     do s = 1, used
       slabs(s)%first = int(int(n_chunk, 8)*(s - 1)/used)*chunk_size + 1
       slabs(s)%last = min(n_node, int(int(n_chunk, 8)*s/used)*chunk_size)
-      allocate (slabs(s)%force(slabs(s)%first - plan%max_offset:slabs(s)%last, 3, plan%n_diagonal), source=0.0_wp)
+      allocate (slabs(s)%force(slabs(s)%first - reach:slabs(s)%last, 3, min(n_full, plan%n_diagonal)), source=0.0_wp)
+      allocate (slabs(s)%base(plan%n_diagonal), source=0)
+      rows = 0
+      do d = n_full + 1, plan%n_diagonal
+        begin = max(plan%first(d), slabs(s)%first - plan%offset(d))
+        finish = min(plan%last(d), slabs(s)%last)
+        slabs(s)%base(d) = rows + 1 - begin
+        rows = rows + max(0, finish - begin + 1)
+      end do
+      allocate (slabs(s)%rest(rows, 3), source=0.0_wp)
     end do
   end subroutine new_slabs
 
@@ -100,14 +117,22 @@ contains
     real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)
     real(wp), intent(in) :: floor_tension
     real(wp), intent(out) :: power(chunk_size)
-    integer :: slot, b
+    integer :: slot, b, row
 
     slot = plan%start(d) + a - plan%first(d)
     b = a + plan%offset(d)
-    call strided_tension(m, x(a, 1), x(a, 2), x(a, 3), x(b, 1), x(b, 2), x(b, 3), &
-                         v(a, 1), v(a, 2), v(a, 3), v(b, 1), v(b, 2), v(b, 3), &
-                         plan%stiffness(slot), plan%natural_length(slot), plan%damping(slot), floor_tension, &
-                         slab%force(a, 1, d), slab%force(a, 2, d), slab%force(a, 3, d), power)
+    if (d <= n_full) then
+      call strided_tension(m, x(a, 1), x(a, 2), x(a, 3), x(b, 1), x(b, 2), x(b, 3), &
+                           v(a, 1), v(a, 2), v(a, 3), v(b, 1), v(b, 2), v(b, 3), &
+                           plan%stiffness(slot), plan%natural_length(slot), plan%damping(slot), floor_tension, &
+                           slab%force(a, 1, d), slab%force(a, 2, d), slab%force(a, 3, d), power)
+    else
+      row = slab%base(d) + a
+      call strided_tension(m, x(a, 1), x(a, 2), x(a, 3), x(b, 1), x(b, 2), x(b, 3), &
+                           v(a, 1), v(a, 2), v(a, 3), v(b, 1), v(b, 2), v(b, 3), &
+                           plan%stiffness(slot), plan%natural_length(slot), plan%damping(slot), floor_tension, &
+                           slab%rest(row, 1), slab%rest(row, 2), slab%rest(row, 3), power)
+    end if
   end subroutine diagonal_cables
 
   !> The tension law: T = max(floor, k (l - l0) + c dl/dt) while l > l0, else 0.
@@ -183,7 +208,7 @@ contains
     integer, intent(in) :: begin, finish
     real(wp), intent(in) :: loose_force(plan%n_loose, 3)
     real(wp), intent(out) :: force(chunk_size, 3) !! [N]
-    integer :: c, d, m
+    integer :: c, d, m, o, lo, hi
 
     m = finish - begin + 1
     do c = 1, 3
@@ -195,11 +220,21 @@ contains
       case default
         call two_differences(m, slab%force(begin, c, 1), slab%force(begin - plan%offset(1), c, 1), &
                              slab%force(begin, c, 2), slab%force(begin - plan%offset(2), c, 2), force(1, c))
-        do d = 3, plan%n_diagonal
-          if (begin > plan%last(d) + plan%offset(d) .or. finish < plan%first(d)) cycle
-          call add_difference(m, slab%force(begin, c, d), slab%force(begin - plan%offset(d), c, d), force(1, c))
-        end do
       end select
+    end do
+    do d = n_full + 1, plan%n_diagonal
+      if (begin > plan%last(d) + plan%offset(d) .or. finish < plan%first(d)) cycle
+      lo = max(begin, plan%first(d))
+      hi = min(finish, plan%last(d))
+      do c = 1, 3
+        if (hi >= lo) call add(hi - lo + 1, slab%rest(slab%base(d) + lo, c), force(lo - begin + 1, c))
+      end do
+      o = plan%offset(d)
+      lo = max(begin, plan%first(d) + o)
+      hi = min(finish, plan%last(d) + o)
+      do c = 1, 3
+        if (hi >= lo) call subtract(hi - lo + 1, slab%rest(slab%base(d) + lo - o, c), force(lo - begin + 1, c))
+      end do
     end do
     if (plan%n_loose > 0) call add_loose(plan, begin, finish, loose_force, force)
   end subroutine chunk_force
@@ -227,16 +262,27 @@ contains
     end do
   end subroutine two_differences
 
-  !> total = total + (away - back).
-  pure subroutine add_difference(m, away, back, total)
+  !> total = total + away: cables that begin here.
+  pure subroutine add(m, away, total)
     integer, intent(in) :: m
-    real(wp), intent(in) :: away(m), back(m)
+    real(wp), intent(in) :: away(m)
     real(wp), intent(inout) :: total(m)
     integer :: k
     do k = 1, m
-      total(k) = total(k) + (away(k) - back(k))
+      total(k) = total(k) + away(k)
     end do
-  end subroutine add_difference
+  end subroutine add
+
+  !> total = total - back: cables that end here.
+  pure subroutine subtract(m, back, total)
+    integer, intent(in) :: m
+    real(wp), intent(in) :: back(m)
+    real(wp), intent(inout) :: total(m)
+    integer :: k
+    do k = 1, m
+      total(k) = total(k) - back(k)
+    end do
+  end subroutine subtract
 
   !> The loose cables' share of the force on nodes begin..finish.
   subroutine add_loose(plan, begin, finish, loose_force, force)
