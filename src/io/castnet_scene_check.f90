@@ -3,7 +3,7 @@
 module castnet_scene_check
   use castnet_error, only: error_t, fail, exit_input
   use castnet_kinds, only: wp
-  use castnet_machine, only: memory_of_machine
+  use castnet_posix, only: physical_memory
   use castnet_problems, only: problem_list_t
   use castnet_scene, only: scene_t, is_set
   use castnet_scene_schema, only: scene_table, part_table
@@ -223,7 +223,7 @@ contains
       nodes = net_node_count(scene)
       need = bytes_per_node*nodes
       if (need < always_there) return
-      memory = memory_of_machine()
+      memory = real(physical_memory(), wp)
       if (need > memory .or. nodes > 5.0e8_wp) call tell(problems, scene%path, place%table, place%last_line, 'net', 'squares', &
         'seen '//to_text(scene%net%squares(1))//' x '//to_text(scene%net%squares(2))//' squares with '// &
         to_text(scene%net%cables_per_side)//' cables a side: about '//byte_text(need)//' of memory; this machine has '// &

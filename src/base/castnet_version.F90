@@ -1,0 +1,88 @@
+!> What this program is: version, commit, compiler, flags.
+!>
+!> The commit comes from the build: `-DCASTNET_COMMIT=\\'0123abcd\\'` among the flags that
+!> fpm is given (the install script does so), or from the archive that git made of a
+!> commit; otherwise it is not known, and says so.
+module castnet_version
+  use, intrinsic :: iso_fortran_env, only: compiler_version, compiler_options
+  implicit none
+  private
+  public :: version_number, git_commit, compiler_name, compiler_flags, build_profile, lapack_version
+
+  character(len=*), parameter :: version_number = '0.1.0'
+
+  ! git archive puts the commit here (.gitattributes: export-subst).
+  character(len=*), parameter :: archive_commit = '$Format:%H$'
+
+#ifdef CASTNET_COMMIT
+  character(len=*), parameter :: built_commit = CASTNET_COMMIT
+#else
+  character(len=*), parameter :: built_commit = ''
+#endif
+
+  interface
+    !> LAPACK's own version.
+    subroutine ilaver(major, minor, patch)
+      integer, intent(out) :: major, minor, patch
+    end subroutine ilaver
+  end interface
+
+contains
+
+  !> The commit this was built from, or 'unknown'.
+  function git_commit() result(commit)
+    character(len=:), allocatable :: commit
+    if (len(built_commit) > 0) then
+      commit = built_commit
+    else if (archive_commit(1:1) /= '$') then
+      commit = archive_commit
+    else
+      commit = 'unknown'
+    end if
+  end function git_commit
+
+  function compiler_name() result(name)
+    character(len=:), allocatable :: name
+    name = compiler_version()
+  end function compiler_name
+
+  !> Flags that this was compiled with, without the include and output paths.
+  function compiler_flags() result(flags)
+    character(len=:), allocatable :: flags, all, word
+    integer :: blank
+    all = compiler_options()//' '
+    flags = ''
+    do while (len(all) > 0)
+      blank = index(all, ' ')
+      word = all(:blank - 1)
+      all = all(blank + 1:)
+      if (word == '-I' .or. word == '-J' .or. word == '-o') all = all(index(all, ' ') + 1:)
+      if (len(word) == 0 .or. index(word, '-I') == 1 .or. index(word, '-J') == 1 .or. word == '-o') cycle
+      flags = flags//' '//word
+    end do
+    flags = trim(adjustl(flags))
+  end function compiler_flags
+
+  !> 'release', 'check' or 'debug', by the flags.
+  function build_profile() result(profile)
+    character(len=:), allocatable :: profile, flags
+    flags = compiler_options()
+    if (index(flags, '-O3') > 0 .or. index(flags, '-O2') > 0) then
+      profile = 'release'
+    else if (index(flags, '-fcheck=all') > 0) then
+      profile = 'check'
+    else
+      profile = 'debug'
+    end if
+  end function build_profile
+
+  function lapack_version() result(version)
+    character(len=:), allocatable :: version
+    character(len=32) :: buffer
+    integer :: major, minor, patch
+    call ilaver(major, minor, patch)
+    write (buffer, '(i0,a,i0,a,i0)') major, '.', minor, '.', patch
+    version = trim(buffer)
+  end function lapack_version
+
+end module castnet_version

@@ -1,0 +1,145 @@
+!> castnet check: is the scene (or study) sound, and what would run? Writes no file.
+module castnet_check_command
+  use castnet_command_line, only: options_t
+  use castnet_error, only: error_t, fail, exit_done, exit_input
+  use castnet_kinds, only: wp, i8
+  use castnet_model_builder, only: file_net_t
+  use castnet_posix, only: wall_seconds
+  use castnet_run_command, only: output_path
+  use castnet_scene, only: scene_t
+  use castnet_scene_file, only: read_scene
+  use castnet_scene_text, only: effective_scene
+  use castnet_simulation, only: simulation_t, due_t, start, run_to_next, is_finished
+  use castnet_terminal, only: warn_lines, say, tell
+  use castnet_text, only: to_text, duration_text, text_t
+  implicit none
+  private
+  public :: check_files
+
+  real(wp), parameter :: trial_seconds = 0.2_wp   !! of steps, to estimate the run's time
+
+contains
+
+  !> One file in detail; of several, each one's verdict.
+  subroutine check_files(options, error)
+    type(options_t), intent(in) :: options
+    type(error_t), allocatable, intent(inout) :: error
+    if (size(options%files) == 1) then
+      call check_one(options, error)
+    else
+      call check_many(options, error)
+    end if
+  end subroutine check_files
+
+  subroutine check_one(options, error)
+    type(options_t), intent(in) :: options
+    type(error_t), allocatable, intent(inout) :: error
+    type(scene_t) :: scene
+    character(len=:), allocatable :: warnings, path
+    call read_scene(options%files(1)%chars, options%overrides, scene, warnings, error)
+    if (allocated(error)) return
+    call warn_lines(warnings)
+    call output_path(scene, options, path, error)
+    if (allocated(error)) return
+    if (options%effective) then
+      call say(effective_scene(scene))
+      return
+    end if
+    call check_run(scene, path, max(1, options%threads), error)
+  end subroutine check_one
+
+  !> Set the run up, try a few steps, and tell what it would be.
+  subroutine check_run(scene, path, threads, error)
+    type(scene_t), intent(in) :: scene
+    character(len=*), intent(in) :: path
+    integer, intent(in) :: threads
+    type(error_t), allocatable, intent(inout) :: error
+    type(simulation_t) :: sim
+    type(file_net_t), allocatable :: file_net
+    real(wp) :: seconds
+    call start(sim, scene, threads, file_net, error)
+    if (allocated(error)) return
+    call say('scene            '//scene%path//': sound')
+    if (allocated(sim%model%net)) then
+      call say('net              '//to_text(sim%model%net%n_node)//' nodes, '//to_text(sim%model%net%n_cable)//' cables, '// &
+               three(sum(sim%model%net%node_mass, .not. sim%model%net%is_bullet))//' kg without bullets')
+      call say('highest frequency '//three(sim%report%spectrum%highest_frequency)//' rad/s, largest damping rate '// &
+               three(sim%report%spectrum%largest_damping_rate)//' 1/s')
+      call say('stable step      '//three(sim%report%stable_limit)//' s ('//trim(scene%time%method)//')')
+    end if
+    if (allocated(sim%model%target)) call say('target           '//trim(scene%target%shape)//', '// &
+                                              three(sim%model%target%mass)//' kg'//trim(merge(', fixed', '       ', scene%target%fixed)))
+    call say('step             '//to_text(sim%model%step)//' s, '//sim%report%reason)
+    if (sim%report%unstable) call warn_lines('the step is above the stability limit')
+    call say('steps            '//to_text(sim%last_step)//' to t = '//to_text(scene%time%end_time)//' s')
+    call estimate_seconds(sim, seconds)
+    if (seconds >= 0.0_wp) call say('estimated time   '//duration_text(seconds)//' without contact, '//to_text(threads)// &
+                                    ' thread'//trim(merge('s', ' ', threads > 1)))
+    call say('output           '//path)
+  end subroutine check_run
+
+  !> Wall seconds of the whole run, from a few of its first steps; negative: not known.
+  subroutine estimate_seconds(sim, seconds)
+    type(simulation_t), intent(inout) :: sim
+    real(wp), intent(out) :: seconds
+    type(error_t), allocatable :: error
+    type(due_t) :: due
+    real(wp) :: began
+    integer(i8) :: steps
+    sim%state%schedule%frames = huge(0)       ! nothing falls due
+    sim%state%schedule%rows = huge(0)
+    sim%state%schedule%verdicts = size(sim%verdict_times)
+    seconds = -1.0_wp
+    steps = sim%state%step
+    began = wall_seconds()
+    do
+      call run_to_next(sim, due, error, 16)
+      if (allocated(error)) return
+      if (is_finished(sim) .or. wall_seconds() - began > trial_seconds) exit
+    end do
+    seconds = (wall_seconds() - began)*real(sim%last_step, wp)/real(max(1_i8, sim%state%step - steps), wp)
+  end subroutine estimate_seconds
+
+  !> Each file's verdict, and with --effective its effective text, on standard output;
+  !> exit code 2 if any is refused.
+  subroutine check_many(options, error)
+    type(options_t), intent(in) :: options
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: i, refused
+    refused = 0
+    do i = 1, size(options%files)
+      call check_quickly(options%files(i)%chars, options, refused)
+    end do
+    if (refused > 0) call fail(error, exit_input, to_text(refused)//' of '//to_text(size(options%files))//' files refused')
+  end subroutine check_many
+
+  subroutine check_quickly(path, options, refused)
+    character(len=*), intent(in) :: path
+    type(options_t), intent(in) :: options
+    integer, intent(inout) :: refused
+    type(scene_t) :: scene
+    type(error_t), allocatable :: error
+    character(len=:), allocatable :: warnings
+    call read_scene(path, options%overrides, scene, warnings, error)
+    if (allocated(error)) then
+      refused = refused + 1
+      call say('=== '//path//': refused')
+      call tell(error%message)
+    else
+      call say('=== '//path//': accepted')
+      if (options%effective) call say(effective_scene(scene))
+    end if
+  end subroutine check_quickly
+
+  !> A figure to three digits.
+  function three(value) result(text)
+    real(wp), intent(in) :: value
+    character(len=:), allocatable :: text
+    character(len=16) :: buffer
+    real(wp) :: rounded
+    write (buffer, '(es12.4)') value
+    read (buffer, *) rounded
+    text = to_text(rounded)
+  end function three
+
+end module castnet_check_command
