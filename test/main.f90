@@ -2,6 +2,7 @@
 program main
   use test_capture_measures, only: run_test_capture_measures
   use test_checkpoint, only: run_test_checkpoint
+  use test_command_line, only: run_test_command_line
   use test_contact, only: run_test_contact
   use test_convex_hull, only: run_test_convex_hull
   use test_diagnostics, only: run_test_diagnostics
@@ -22,6 +23,7 @@ program main
   implicit none
   call run_test_capture_measures()
   call run_test_checkpoint()
+  call run_test_command_line()
   call run_test_contact()
   call run_test_convex_hull()
   call run_test_diagnostics()

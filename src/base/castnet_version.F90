@@ -46,7 +46,8 @@ contains
     name = compiler_version()
   end function compiler_name
 
-  !> Flags that this was compiled with, without the include and output paths.
+  !> Flags that this was compiled with, each once, without paths and without the list of
+  !> processor features that -march stands for.
   function compiler_flags() result(flags)
     character(len=:), allocatable :: flags, all, word
     integer :: blank
@@ -57,11 +58,19 @@ contains
       word = all(:blank - 1)
       all = all(blank + 1:)
       if (word == '-I' .or. word == '-J' .or. word == '-o') all = all(index(all, ' ') + 1:)
-      if (len(word) == 0 .or. index(word, '-I') == 1 .or. index(word, '-J') == 1 .or. word == '-o') cycle
+      if (is_noise(word) .or. index(flags//' ', ' '//word//' ') > 0) cycle
       flags = flags//' '//word
     end do
     flags = trim(adjustl(flags))
   end function compiler_flags
+
+  pure logical function is_noise(word)
+    character(len=*), intent(in) :: word
+    is_noise = len(word) == 0 .or. index(word, '-I') == 1 .or. index(word, '-J') == 1 .or. word == '-o' .or. &
+               word == '-imultiarch' .or. index(word, '--param') == 1 .or. index(word, '-fpre-include') == 1 .or. &
+               index(word, '-') /= 1 .or. &
+               (index(word, '-m') == 1 .and. index(word, '-march=') /= 1 .and. index(word, '-mtune=') /= 1)
+  end function is_noise
 
   !> 'release', 'check' or 'debug', by the flags.
   function build_profile() result(profile)

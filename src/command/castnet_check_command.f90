@@ -68,7 +68,7 @@ contains
       call say('stable step      '//three(sim%report%stable_limit)//' s ('//trim(scene%time%method)//')')
     end if
     if (allocated(sim%model%target)) call say('target           '//trim(scene%target%shape)//', '// &
-                                              three(sim%model%target%mass)//' kg'//trim(merge(', fixed', '       ', scene%target%fixed)))
+      three(sim%model%target%mass)//' kg'//trim(merge(', fixed', '       ', scene%target%fixed)))
     call say('step             '//to_text(sim%model%step)//' s, '//sim%report%reason)
     if (sim%report%unstable) call warn_lines('the step is above the stability limit')
     call say('steps            '//to_text(sim%last_step)//' to t = '//to_text(scene%time%end_time)//' s')

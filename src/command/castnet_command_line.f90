@@ -233,6 +233,7 @@ contains
     type(options_t), intent(in) :: options
     character(len=*), intent(in) :: given
     type(problem_list_t), intent(inout) :: problems
+    type(command_t) :: command
     integer :: c, i, k
     if (len(options%command) == 0) then
       if (problems%n == 0) call problems%add('', 0, '', 'which command? one of: '//command_names())
@@ -251,25 +252,24 @@ contains
       end if
       return
     end if
-    associate (command => commands(c))
-      if (size(options%files) < command%least) then
-        call problems%add('', 0, '', 'castnet '//trim(command%name)//' needs '//trim(command%arguments))
-      else if (size(options%files) > command%most) then
-        call problems%add('', 0, '', 'castnet '//trim(command%name)//': one argument too many: '// &
-                          quoted(options%files(command%most + 1)%chars))
-      end if
-      do i = 1, size(options%files)
-        if (len_trim(options%files(i)%chars) == 0) call problems%add('', 0, '', 'an empty argument')
+    command = commands(c)
+    if (size(options%files) < command%least) then
+      call problems%add('', 0, '', 'castnet '//trim(command%name)//' needs '//trim(command%arguments))
+    else if (size(options%files) > command%most) then
+      call problems%add('', 0, '', 'castnet '//trim(command%name)//': one argument too many: '// &
+                        quoted(options%files(command%most + 1)%chars))
+    end if
+    do i = 1, size(options%files)
+      if (len_trim(options%files(i)%chars) == 0) call problems%add('', 0, '', 'an empty argument')
+    end do
+    do i = 1, word_count(given)
+      do k = 1, size(known)
+        if (known(k)%name == word_at(given, i)) exit
       end do
-      do i = 1, word_count(given)
-        do k = 1, size(known)
-          if (known(k)%name == word_at(given, i)) exit
-        end do
-        if (len_trim(known(k)%commands) > 0 .and. .not. is_one_of(trim(command%name), trim(known(k)%commands))) &
-          call problems%add('', 0, '--'//trim(known(k)%name), 'is no option of castnet '//trim(command%name)// &
-                            '; it belongs to: '//trim(known(k)%commands))
-      end do
-    end associate
+      if (len_trim(known(k)%commands) > 0 .and. .not. is_one_of(trim(command%name), trim(known(k)%commands))) &
+        call problems%add('', 0, '--'//trim(known(k)%name), 'is no option of castnet '//trim(command%name)// &
+                          '; it belongs to: '//trim(known(k)%commands))
+    end do
   end subroutine check_command
 
   function suggestion(name) result(text)

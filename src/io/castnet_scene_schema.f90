@@ -10,7 +10,7 @@ module castnet_scene_schema
   use castnet_text, only: lower, parse_integer, did_you_mean, to_text, quoted, is_one_of
   implicit none
   private
-  public :: scene_table, part_table, store_lists, allocate_all_groups, scene_groups
+  public :: scene_table, part_table, store_lists, allocate_all_groups, scene_groups, groups_with_key
   public :: set_key, get_key, split_key, key_reference_t, parse_override_value, allocate_group
 
   ! Not available yet: a builder of one of these takes it out here, and nowhere else.
@@ -270,6 +270,22 @@ contains
     if (.not. allocated(scene%environment)) allocate (scene%environment)
     if (.not. allocated(scene%perturb)) allocate (scene%perturb)
   end subroutine allocate_all_groups
+
+  !> The groups that have a key of this name: '&bullets, &target'; '' if none.
+  function groups_with_key(key) result(list)
+    character(len=*), intent(in) :: key
+    character(len=:), allocatable :: list
+    type(scene_t), target :: scene
+    type(schema_t) :: table
+    integer :: i
+    call allocate_all_groups(scene)
+    call scene_table(scene, table)
+    list = ''
+    do i = 1, table%n
+      if (table%entries(i)%key == key) list = list//', &'//trim(table%entries(i)%group)
+    end do
+    if (len(list) > 0) list = list(3:)
+  end function groups_with_key
 
   subroutine allocate_group(scene, name)
     type(scene_t), intent(inout) :: scene

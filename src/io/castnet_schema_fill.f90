@@ -2,8 +2,9 @@
 module castnet_schema_fill
   use castnet_namelist, only: group_t, item_t
   use castnet_problems, only: problem_list_t
+  use castnet_scene_schema, only: groups_with_key, scene_groups
   use castnet_schema, only: schema_t, entry_t, most_components
-  use castnet_text, only: to_text, did_you_mean, word_at, word_count
+  use castnet_text, only: to_text, did_you_mean, is_one_of
   implicit none
   private
   public :: fill_group, claim_group
@@ -103,14 +104,11 @@ contains
   function suggestion(table, group, key) result(text)
     type(schema_t), intent(in) :: table
     character(len=*), intent(in) :: group, key
-    character(len=:), allocatable :: text
-    integer :: i
+    character(len=:), allocatable :: text, others
     text = did_you_mean(key, table%keys_of(group))
-    if (len(text) == 0) then
-      do i = 1, table%n
-        if (table%entries(i)%key == key) text = text//merge(' or ', '    ', len(text) > 0)//'&'//trim(table%entries(i)%group)
-      end do
-      if (len(text) > 0) text = '; it is a key of '//trim(adjustl(text))
+    if (len(text) == 0 .and. is_one_of(group, scene_groups)) then
+      others = groups_with_key(key)
+      if (len(others) > 0) text = '; it is a key of '//others
     end if
     text = text//' (allowed: '//table%keys_of(group)//')'
   end function suggestion
