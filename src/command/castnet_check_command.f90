@@ -8,6 +8,7 @@ module castnet_check_command
   use castnet_run_command, only: output_path
   use castnet_scene, only: scene_t
   use castnet_scene_file, only: read_scene
+  use castnet_scene_net, only: load_scene_net
   use castnet_scene_text, only: effective_scene
   use castnet_simulation, only: simulation_t, due_t, start, run_to_next, is_finished
   use castnet_terminal, only: warn_lines, say, tell
@@ -57,6 +58,8 @@ contains
     type(simulation_t) :: sim
     type(file_net_t), allocatable :: file_net
     real(wp) :: seconds
+    call load_scene_net(scene, file_net, error)
+    if (allocated(error)) return
     call start(sim, scene, threads, file_net, error)
     if (allocated(error)) return
     call say('scene            '//scene%path//': sound')

@@ -103,7 +103,7 @@ contains
           options%command = argument
           if (len(argument) == 0) options%command = ' '
         else
-          options%files = [options%files, arguments(i)]
+          call append(options%files, argument)
         end if
       end associate
       i = i + 1
@@ -180,7 +180,7 @@ contains
         options%threads = int(long)
       end if
     case ('set')
-      options%overrides = [options%overrides, text_t(value)]
+      call append(options%overrides, value)
     case ('max-wall')
       call parse_duration(value, options%max_wall, problem)
       if (allocated(problem)) call problems%add('', 0, '--max-wall', 'seen '//quoted(value)//'; allowed: HH:MM:SS')
@@ -208,6 +208,20 @@ contains
       place = value
     end subroutine take_path
   end subroutine set_option
+
+  !> One text more. (Constructors of types with texts of any length go wrong in gfortran 12.)
+  subroutine append(list, chars)
+    type(text_t), allocatable, intent(inout) :: list(:)
+    character(len=*), intent(in) :: chars
+    type(text_t), allocatable :: grown(:)
+    integer :: i
+    allocate (grown(size(list) + 1))
+    do i = 1, size(list)
+      call move_alloc(list(i)%chars, grown(i)%chars)
+    end do
+    grown(size(grown))%chars = chars
+    call move_alloc(grown, list)
+  end subroutine append
 
   !> 'K/N' with 1 <= K <= N.
   subroutine parse_shard(value, options, problems)

@@ -9,6 +9,7 @@ module castnet_runner
   use castnet_run_writer, only: run_writer_t, run_info_t, open_run, write_frame, write_history, close_run, &
                                 status_complete, status_stopped, status_failed
   use castnet_scene, only: scene_t
+  use castnet_scene_net, only: load_scene_net
   use castnet_shape, only: tessellate
   use castnet_signals, only: install_signal_handlers, stop_request_code
   use castnet_simulation, only: simulation_t, due_t, start, run_to_next, is_finished, take_measures, take_row, &
@@ -52,6 +53,8 @@ contains
     integer :: stop_code
 
     began = wall_seconds()
+    call load_scene_net(scene, file_net, error)
+    if (allocated(error)) return
     call start(sim, scene, options%threads, file_net, error)
     if (allocated(error)) return
     call open_writer(sim, scene, effective_text, options, writer, error)
