@@ -14,6 +14,7 @@ import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
 from matplotlib.collections import PolyCollection  # noqa: E402
 from matplotlib.colors import LogNorm, to_rgb  # noqa: E402
+from scipy.spatial import cKDTree  # noqa: E402
 
 from castnet_reader import Run, rotation  # noqa: E402
 
@@ -52,6 +53,7 @@ class Camera:
         right = np.array([-np.sin(a), np.cos(a), 0.0])
         self.axes = np.array([right, np.cross(back, right), back])
         self.centre, self.radius, self.distance = np.asarray(centre, float), float(radius), distance
+        self.eye = self.centre + back * self.distance * self.radius
         self.window = (np.array([-1.02, -1.02]), np.array([1.02, 1.02]))
 
     def project(self, points):
@@ -109,6 +111,9 @@ class Scene3D:
         if self.solid is not None:
             self.target_radius = float(np.linalg.norm(self.solid[0], axis=1).max())
             self.triangles = refine(*self.solid, self.target_radius / 12)
+            self.normals = np.cross(self.triangles[:, 1] - self.triangles[:, 0], self.triangles[:, 2] - self.triangles[:, 0])
+            self.normals /= np.maximum(np.linalg.norm(self.normals, axis=1), 1e-300)[:, None]
+            self.nearest = cKDTree(self.triangles.mean(axis=1))
             self.creases = creases(*self.solid)
 
     def camera(self, frame: int, close_up=False, **angles) -> Camera:
@@ -160,11 +165,9 @@ class Scene3D:
 
     def _add_target(self, primitives, camera, position, attitude):
         world = self.triangles @ attitude.T + position
-        normal = np.cross(world[:, 1] - world[:, 0], world[:, 2] - world[:, 0])
-        normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
+        normal = self.normals @ attitude.T
         middle = world.mean(axis=1)
-        eye = camera.centre + camera.axes[2] * camera.distance * camera.radius
-        facing = np.einsum("ij,ij->i", normal, eye - middle) > 0
+        facing = np.einsum("ij,ij->i", normal, camera.eye - middle) > 0
         light = 0.52 + sum(power * np.clip(normal @ (way / np.linalg.norm(way)), 0, 1) for way, power in LIGHTS)
         picture, depth = camera.project(world)
         depth = depth.mean(axis=1)
@@ -184,6 +187,24 @@ class Scene3D:
         """Depth by which a cable on a surface is preferred to that surface's triangles."""
         return 0.06 * self.target_radius / camera.radius if self.solid is not None else 0.0
 
+    def _near_target(self, camera, points, depth, frame):
+        """Depths at which cable pieces are drawn, and which lie close to the target.
+
+        With contact at the nodes alone a cable cuts the body's corners. A piece just under
+        a face that looks at the camera is drawn on that face, so that one sees where the net lies."""
+        if self.solid is None:
+            return depth, np.zeros(len(points), bool)
+        attitude = rotation(self.run.data["target_attitude"].values[frame])
+        position = self.run.data["target_position"].values[frame]
+        away, triangle = self.nearest.query((points - position) @ attitude)
+        centre = self.triangles[triangle].mean(axis=1) @ attitude.T + position
+        normal = self.normals[triangle] @ attitude.T
+        under = (np.einsum("ij,ij->i", points - centre, normal) <= 0) & (away < 0.5 * self.target_radius)
+        faces = np.einsum("ij,ij->i", normal, camera.eye - centre) > 0
+        _, surface = camera.project(centre)
+        raised = np.where(under & faces, np.maximum(depth, surface + 0.5 * self.bias(camera)), depth)
+        return raised, under | (away < 0.25 * self.target_radius)
+
     def _add_net(self, primitives, camera, frame, width):
         run, data = self.run, self.run.data
         position = data["node_position"].values[frame]
@@ -194,25 +215,27 @@ class Scene3D:
         if len(run.cables):
             tension = data["cable_tension"].values[frame] if "cable_tension" in data else np.zeros(len(run.cables))
             colour = tension_colours(tension, self.largest_tension)
-            pieces = np.linspace(0, 1, 5)[:, None, None]
+            pieces = np.linspace(0, 1, 7)[:, None, None]
             ends = position[run.cables]
-            picture, depth = camera.project(ends[:, 0] * (1 - pieces) + ends[:, 1] * pieces)
+            world = ends[:, 0] * (1 - pieces) + ends[:, 1] * pieces
+            picture, depth = camera.project(world)
             stiff = np.asarray(run.static.get("axial_stiffness", np.ones(len(run.cables))), float)
             thick = width * np.where(stiff > 2 * np.median(stiff), 1.7, 1.0)
             if self.solid is not None:
-                # What the body hides shines through a little: one sees where the net runs behind
-                # it, and that with contact at the nodes alone cables cut the body's corners.
+                # What the body hides shines through a little.
                 for line in picture.transpose(1, 0, 2):
-                    primitives.append((np.inf, line[[0, -1]], "none", (*(SLACK * 0.7), 0.22), 0.55 * width))
+                    primitives.append((np.inf, line[[0, -1]], "none", (*(SLACK * 0.7), 0.16), 0.5 * width))
             for k in range(len(pieces) - 1):
                 middle = depth[k:k + 2].mean(axis=0)
                 fade = np.clip(0.45 - 0.35 * middle, 0.0, 0.6)[:, None]
                 shade = colour * (1 - fade) + PAPER * fade
+                place, near = self._near_target(camera, world[k:k + 2].mean(axis=0), middle, frame)
                 for i in range(len(run.cables)):
                     line = picture[k:k + 2, i]
-                    # A pale rim, a little behind, so that a nearer cable is seen to cross a farther one.
-                    primitives.append((middle[i] + bias - 0.05, line, "none", (1, 1, 1, 0.8), thick[i] + 1.6))
-                    primitives.append((middle[i] + bias, line, "none", shade[i], thick[i]))
+                    if not near[i]:
+                        # A pale rim, a little behind, so that a nearer cable is seen to cross a farther one.
+                        primitives.append((place[i] + bias - 0.05, line, "none", (1, 1, 1, 0.8), thick[i] + 1.6))
+                    primitives.append((place[i] + bias, line, "none", shade[i], thick[i]))
         if len(run.bullets):
             picture, depth = camera.project(position[run.bullets])
             turn = np.linspace(0, 2 * np.pi, 17)
