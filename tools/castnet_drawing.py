@@ -56,6 +56,15 @@ class Camera:
         self.eye = self.centre + back * self.distance * self.radius
         self.window = (np.array([-1.02, -1.02]), np.array([1.02, 1.02]))
 
+    @classmethod
+    def fitting(cls, cloud, **angles) -> Camera:
+        """The camera that shows all of a cloud of points (n, 3)."""
+        middle = (cloud.min(axis=0) + cloud.max(axis=0)) / 2
+        camera = cls(middle, np.linalg.norm(cloud - middle, axis=1).max(), **angles)
+        picture, _ = camera.project(cloud)
+        camera.window = picture.min(axis=0) - 0.07, picture.max(axis=0) + 0.07
+        return camera
+
     def project(self, points):
         """Picture coordinates (..., 2), the fitted sphere near |1|, and depth (larger = nearer)."""
         local = (np.asarray(points, float) - self.centre) @ self.axes.T / self.radius
@@ -116,8 +125,8 @@ class Scene3D:
             self.nearest = cKDTree(self.triangles.mean(axis=1))
             self.creases = creases(*self.solid)
 
-    def camera(self, frame: int, close_up=False, **angles) -> Camera:
-        """Frame the net and the target, or the target and what of the net is round it."""
+    def cloud(self, frame: int, close_up=False) -> np.ndarray:
+        """All points of a frame (n, 3), or those of the target and of the net near it."""
         data, clouds = self.run.data, []
         if self.run.has_net:
             clouds.append(data["node_position"].values[frame])
@@ -127,13 +136,11 @@ class Scene3D:
                 near = 2.2 * self.target_radius
                 clouds = [c[np.linalg.norm(c - centre, axis=1) < near] for c in clouds]
             clouds.append(self.triangles.reshape(-1, 3) @ rotation(data["target_attitude"].values[frame]).T + centre)
-        cloud = np.concatenate(clouds)
-        low, high = cloud.min(axis=0), cloud.max(axis=0)
-        middle = (low + high) / 2
-        camera = Camera(middle, np.linalg.norm(cloud - middle, axis=1).max(), **angles)
-        picture, _ = camera.project(cloud)
-        camera.window = picture.min(axis=0) - 0.07, picture.max(axis=0) + 0.07
-        return camera
+        return np.concatenate(clouds)
+
+    def camera(self, frame: int, close_up=False, **angles) -> Camera:
+        """A camera that fits the frame's cloud."""
+        return Camera.fitting(self.cloud(frame, close_up), **angles)
 
     def draw(self, axis, frame: int, camera: Camera | None = None, *, width=0.9) -> Camera:
         """Draw one frame; returns the camera."""

@@ -60,26 +60,7 @@ def verdict_at(run: Run, time: float) -> str:
     return "marginal"
 
 
-def shared_camera(scenes: list[Scene3D], frames: list[int]) -> Camera:
-    """One camera that fits the same moment of several runs."""
-    clouds = []
-    for scene, frame in zip(scenes, frames):
-        camera = scene.camera(frame)
-        reach = camera.radius * np.array([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]])
-        clouds.append(camera.centre + reach)
-    cloud = np.concatenate(clouds)
-    middle = (cloud.min(axis=0) + cloud.max(axis=0)) / 2
-    camera = Camera(middle, max(np.linalg.norm(cloud - middle, axis=1).max() * 0.8, 1e-6))
-    pictures = np.concatenate([
-        camera.project(scene.run.data["node_position"].values[frame])[0] for scene, frame in zip(scenes, frames)
-    ] + [camera.project(scene.run.data["target_position"].values[frame] + scene.target_radius * corner)[0][None]
-         for scene, frame in zip(scenes, frames) if scene.solid is not None
-         for corner in np.array([[1, 1, 1], [-1, -1, -1], [1, -1, 1], [-1, 1, -1]]) * 0.6])
-    camera.window = pictures.min(axis=0) - 0.04, pictures.max(axis=0) + 0.04
-    return camera
-
-
-def snapshots(rows: dict[str, Run], times, title: str):
+def snapshots(rows: dict[str, Run], times, title: str, verdicts=True):
     """Rows of snapshots at the paper's times, each column through one camera."""
     scenes = [Scene3D(run) for run in rows.values()]
     figure, axes = plt.subplots(len(rows), len(times), figsize=(3.3 * len(times), 3.0 * len(rows) + 0.7), squeeze=False)
@@ -87,7 +68,7 @@ def snapshots(rows: dict[str, Run], times, title: str):
     figure.suptitle(title, x=0.01, y=0.995, ha="left", va="top", fontsize=11, fontweight="bold")
     for column, time in enumerate(times):
         frames = [scene.run.frame(time) for scene in scenes]
-        camera = shared_camera(scenes, frames)
+        camera = Camera.fitting(np.concatenate([scene.cloud(frame) for scene, frame in zip(scenes, frames)]))
         for row, (label, scene) in enumerate(zip(rows, scenes)):
             axis = axes[row, column]
             scene.draw(axis, frames[row], camera, width=0.8)
@@ -97,7 +78,7 @@ def snapshots(rows: dict[str, Run], times, title: str):
                 axis.set_title(f"t = {scene.run.time[frames[row]]:.3g} s", y=0.99)
             if column == 0:
                 axis.text(-0.02, 0.5, label, rotation=90, va="center", ha="right", transform=axis.transAxes, fontsize=9)
-            if column == len(times) - 1:
+            if verdicts and column == len(times) - 1:
                 axis.text(0.98, 0.97, verdict_at(scene.run, time), va="top", ha="right", transform=axis.transAxes,
                           fontsize=9, fontweight="bold", color="0.3")
     return figure
@@ -116,7 +97,7 @@ def figure_5(book, _):
     touch = run.first_contact if np.isfinite(run.first_contact) else 1.2
     times = [0.4, 0.8, touch, touch + 0.3, touch + 0.8, run.time[-1]]
     return snapshots({"no link (as the paper)": run, "with link": book["parabolic_flight_link"]}, times,
-                     "Fig. 5  Capture of the fixed Envisat mock-up")
+                     "Fig. 5  Capture of the fixed Envisat mock-up", verdicts=False)
 
 
 def figure_6(book, measured):
