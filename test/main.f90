@@ -8,6 +8,7 @@ program main
   use test_diagnostics, only: run_test_diagnostics
   use test_net_builder, only: run_test_net_builder
   use test_net_file, only: run_test_net_file
+  use test_output_files, only: run_test_output_files
   use test_perturb, only: run_test_perturb
   use test_rng, only: run_test_rng
   use test_rotation, only: run_test_rotation
@@ -29,6 +30,7 @@ program main
   call run_test_diagnostics()
   call run_test_net_builder()
   call run_test_net_file()
+  call run_test_output_files()
   call run_test_perturb()
   call run_test_rng()
   call run_test_rotation()

@@ -195,7 +195,7 @@ contains
     info%checkpoint = 'some.checkpoint'
     info%schedule%frames = 6
     info%schedule%rows = 12
-    call reopen_run(writer, path, model, surface, info, error)
+    call reopen_run(writer, path, 'effective', model, surface, info, error)
     call write_some(writer, model, state, 6, 12, error)
     call close_run(writer, summary, status_complete, error)
     call expect_no(error)
@@ -207,7 +207,7 @@ contains
     call close_run(writer, summary, status_stopped, error)
     info%schedule%frames = 8
     info%schedule%rows = 16
-    call reopen_run(writer, path, model, surface, info, error)
+    call reopen_run(writer, path, 'effective', model, surface, info, error)
     call close_run(writer, summary, status_complete, error)
     call expect_no(error)
     call expect_dataset(path, '/time', [1.5_wp, 1.75_wp])
@@ -218,9 +218,14 @@ contains
     call close_run(writer, summary, status_stopped, error)
     call expect_no(error)
     info%schedule%frames = 9
-    call reopen_run(writer, path, model, surface, info, error)
+    call reopen_run(writer, path, 'effective', model, surface, info, error)
     call expect(allocated(error), 'a file that ends before the checkpoint is refused')
     if (allocated(error)) call expect_equal(error%code, exit_file, 'exit code')
+    if (allocated(error)) deallocate (error)
+    info%schedule%frames = 0
+    info%schedule%rows = 0
+    call reopen_run(writer, path, '&net', model, surface, info, error)
+    call expect(allocated(error), 'a file of another scene is refused')
     ignored = remove_file(path//'.part')
   end subroutine test_restart
 

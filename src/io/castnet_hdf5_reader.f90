@@ -1,18 +1,19 @@
 !> Reading whole datasets of an HDF5 file that others may have written: ask first what
 !> stands there and how much memory it would take, then read, converted to our kinds.
 module castnet_hdf5_reader
-  use, intrinsic :: iso_c_binding, only: c_loc, c_ptr
+  use, intrinsic :: iso_c_binding, only: c_loc, c_ptr, c_null_ptr, c_associated, c_char, c_f_pointer, c_null_char
   use hdf5, only: hid_t, hsize_t, h5dopen_f, h5dclose_f, h5dget_space_f, h5dget_type_f, h5dread_f, h5sclose_f, &
                   h5tget_class_f, h5tclose_f, h5sget_simple_extent_ndims_f, h5sget_simple_extent_dims_f, &
                   h5sget_simple_extent_type_f, h5lexists_f, h5oget_info_by_name_f, h5o_info_t, h5o_type_dataset_f, &
-                  h5gn_members_f, h5gget_obj_info_idx_f, h5t_enum_f, &
+                  h5gn_members_f, h5tis_variable_str_f, h5dvlen_reclaim_f, h5p_default_f, h5gget_obj_info_idx_f, h5t_enum_f, &
                   h5t_integer_f, h5t_float_f, h5s_scalar_f, h5s_simple_f
   use castnet_kinds, only: wp, i8
   use castnet_error, only: error_t, fail, exit_file
   use castnet_hdf5_file, only: hdf5_file_t, memory_type, kind_double, kind_long
   implicit none
   private
-  public :: dataset_t, ask_dataset, list_members, read_doubles, read_longs, class_none, class_integer, class_real, class_other
+  public :: dataset_t, ask_dataset, list_members, read_doubles, read_longs, read_text
+  public :: class_none, class_integer, class_real, class_other
 
   integer, parameter :: class_none = 0, class_integer = 1, class_real = 2, class_other = 3
   integer, parameter :: most_rank = 32  !! HDF5's own limit
@@ -166,6 +167,55 @@ contains
       call complain(file, path, status, error)
     end if
   end subroutine read_longs
+
+  !> A text that `write_text` wrote; '' when it is not there or not such a text.
+  function read_text(file, path) result(text)
+    type(hdf5_file_t), intent(in) :: file
+    character(len=*), intent(in) :: path
+    character(len=:), allocatable :: text
+    type(c_ptr), target :: stored
+    type(c_ptr) :: buffer
+    integer(hid_t) :: id, type_id, space
+    integer :: status, ignored
+    logical :: variable
+    text = ''
+    if (.not. is_dataset(file, path)) return
+    call h5dopen_f(file%root%id, path, id, status)
+    if (status < 0) return
+    call h5dget_type_f(id, type_id, status)
+    call h5tis_variable_str_f(type_id, variable, status)
+    call h5dget_space_f(id, space, ignored)
+    call h5sget_simple_extent_type_f(space, ignored, status)
+    if (status >= 0 .and. ignored == h5s_scalar_f .and. variable) then
+      stored = c_null_ptr
+      buffer = c_loc(stored)
+      call h5dread_f(id, type_id, buffer, status)
+      if (status >= 0 .and. c_associated(stored)) then
+        text = from_c(stored)
+        call h5dvlen_reclaim_f(type_id, space, h5p_default_f, buffer, ignored)
+      end if
+    end if
+    call h5sclose_f(space, ignored)
+    call h5tclose_f(type_id, ignored)
+    call h5dclose_f(id, ignored)
+  end function read_text
+
+  !> The text at a C address, up to its final zero.
+  function from_c(address) result(text)
+    type(c_ptr), intent(in) :: address
+    character(len=:), allocatable :: text
+    character(kind=c_char), pointer :: chars(:)
+    integer(i8) :: n, i
+    n = 0
+    call c_f_pointer(address, chars, [huge(1_i8)/2])
+    do while (chars(n + 1) /= c_null_char)
+      n = n + 1
+    end do
+    allocate (character(len=n) :: text)
+    do i = 1, n
+      text(i:i) = chars(i)
+    end do
+  end function from_c
 
   subroutine complain(file, path, status, error)
     type(hdf5_file_t), intent(in) :: file

@@ -8,7 +8,7 @@ module castnet_posix
   use castnet_error, only: error_t, fail, exit_file
   implicit none
   private
-  public :: create_file, read_file, copy_file, sync_path, rename_file, remove_file, link_file
+  public :: create_file, read_file, copy_file, sync_path, rename_file, remove_file, remove_if_unchanged, link_file
   public :: path_kind, path_nothing, path_file, path_folder, path_other
   public :: file_size, same_file, may_write, longest_name, longest_path, free_space, reserve_space, release_space
   public :: is_terminal, process_id, process_is_alive, process_start, host_name
@@ -46,6 +46,11 @@ module castnet_posix
       import :: c_char, c_int
       character(kind=c_char), intent(in) :: path(*)
     end function castnet_remove_file
+    integer(c_int) function castnet_remove_if_unchanged(path, data, n) bind(c)
+      import :: c_char, c_int, c_int64_t
+      character(kind=c_char), intent(in) :: path(*), data(*)
+      integer(c_int64_t), value :: n
+    end function castnet_remove_if_unchanged
     integer(c_int) function castnet_link(from, to) bind(c)
       import :: c_char, c_int
       character(kind=c_char), intent(in) :: from(*), to(*)
@@ -195,6 +200,12 @@ contains
     character(len=*), intent(in) :: path
     remove_file = castnet_remove_file(path//c_null_char)
   end function remove_file
+
+  !> Remove a file if it still holds exactly these bytes (at most 1024); not 0 if it does not.
+  integer function remove_if_unchanged(path, bytes)
+    character(len=*), intent(in) :: path, bytes
+    remove_if_unchanged = castnet_remove_if_unchanged(path//c_null_char, bytes, len(bytes, kind=c_int64_t))
+  end function remove_if_unchanged
 
   !> A second name for a file; the name must not exist yet.
   integer function link_file(from, to)

@@ -11,6 +11,7 @@
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/file.h>
 #include <sys/resource.h>
 #include <sys/stat.h>
 #include <sys/statvfs.h>
@@ -96,6 +97,32 @@ int castnet_read_file(const char *path, char *data, int64_t n, int64_t *done)
         if (got <= 0) break;
         *done += got;
     }
+    close(fd);
+    return status;
+}
+
+/* Remove a file if it still holds exactly these bytes; EAGAIN if it does not. The lock
+ * on the open file keeps two that try at once from removing each other's successor. */
+int castnet_remove_if_unchanged(const char *path, const char *data, int64_t n)
+{
+    char seen[1024];
+    struct stat here, there;
+    int64_t got = 0;
+    int fd = open(path, O_RDONLY | O_CLOEXEC | O_NOFOLLOW);
+    if (fd < 0) return errno == ENOENT ? EAGAIN : errno;
+    if (flock(fd, LOCK_EX | LOCK_NB) != 0 && errno == EWOULDBLOCK) {
+        close(fd);
+        return EAGAIN;
+    }
+    while (got < (int64_t)sizeof seen) {
+        ssize_t k = read(fd, seen + got, sizeof seen - (size_t)got);
+        if (k <= 0) break;
+        got += k;
+    }
+    int status = 0;
+    if (fstat(fd, &here) != 0 || stat(path, &there) != 0 || here.st_ino != there.st_ino
+        || here.st_dev != there.st_dev || got != n || memcmp(seen, data, (size_t)n) != 0) status = EAGAIN;
+    if (status == 0 && unlink(path) != 0) status = errno;
     close(fd);
     return status;
 }

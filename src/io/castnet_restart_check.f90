@@ -23,11 +23,12 @@ contains
   subroutine check_same_scene(before, now, checkpoint, error)
     character(len=*), intent(in) :: before      !! scene of the checkpoint
     character(len=*), intent(in) :: now         !! scene of this run
-    character(len=*), intent(in) :: checkpoint  !! its path, for the message
+    character(len=*), intent(in) :: checkpoint  !! its path, or that of OUTPUT.part, for the message
     type(error_t), allocatable, intent(inout) :: error
     type(entry_t), allocatable :: old(:), new(:)
     character(len=:), allocatable :: list
     integer :: i, k, n
+    if (allocated(error)) return
     if (before == now) return
     call split(before, old)
     call split(now, new)
@@ -37,14 +38,14 @@ contains
       if (may_differ(old(i)%key)) cycle
       k = place_of(new, old(i)%key)
       if (k == 0) then
-        call add(old(i)%key//': '//old(i)%value//' in the checkpoint, not in this scene')
+        call add(old(i)%key//': '//old(i)%value//' there, not in this scene')
       else if (new(k)%value /= old(i)%value) then
-        call add(old(i)%key//': '//old(i)%value//' in the checkpoint, '//new(k)%value//' in this scene')
+        call add(old(i)%key//': '//old(i)%value//' there, '//new(k)%value//' in this scene')
       end if
     end do
     do i = 1, size(new)
       if (may_differ(new(i)%key)) cycle
-      if (place_of(old, new(i)%key) == 0) call add(new(i)%key//': not in the checkpoint, '//new(i)%value//' in this scene')
+      if (place_of(old, new(i)%key) == 0) call add(new(i)%key//': not there, '//new(i)%value//' in this scene')
     end do
     if (n == 0) return
     if (n > most_named) list = list//new_line('a')//'  and '//to_text(n - most_named)//' more'

@@ -22,7 +22,8 @@ module castnet_run_writer
                                write_array, make_scale, attach_scales, kind_double
   use castnet_hdf5_series, only: series_t, create_series, open_series, append_frames, truncate_series, close_series, &
                                  growth_bytes
-  use castnet_hdf5_reader, only: dataset_t, ask_dataset, read_longs, class_integer
+  use castnet_hdf5_reader, only: dataset_t, ask_dataset, read_longs, read_text, class_integer
+  use castnet_restart_check, only: check_same_scene
   use castnet_history_writer, only: history_writer_t, create_history, reopen_history, store_row, is_block_full, &
                                     waiting_rows, write_rows, history_growth, close_history
   use castnet_summary_writer, only: write_summary
@@ -111,13 +112,17 @@ contains
 
   !> Go on with OUTPUT.part after a restart: what lies behind the checkpoint is cut off.
   !> Errors: exit_file when the file is damaged, of another net, or ends before the checkpoint.
-  subroutine reopen_run(writer, path, model, surface, info, error)
+  !> If the run goes on with other counts than the checkpoint's, because an interval has
+  !> changed, they come in `onward`, and later restarts will be understood.
+  subroutine reopen_run(writer, path, effective_text, model, surface, info, error, onward)
     type(run_writer_t), intent(out) :: writer
     character(len=*), intent(in) :: path                  !! OUTPUT; OUTPUT.part must be there
+    character(len=*), intent(in) :: effective_text        !! the scene of this run
     type(model_t), intent(in) :: model
     type(surface_t), intent(in), optional :: surface
     type(run_info_t), intent(in) :: info                  !! with the checkpoint's schedule
     type(error_t), allocatable, intent(inout) :: error
+    type(schedule_t), intent(in), optional :: onward
     integer(i8) :: frames, rows
     integer :: i
     call prepare(writer, path, model, surface)
@@ -128,6 +133,7 @@ contains
     end if
     frames = info%schedule%frames - first_count(writer, '/meta/first_frame', error)
     rows = info%schedule%rows - first_count(writer, '/meta/first_row', error)
+    call check_same_scene(read_text(writer%file, '/meta/effective_scene'), effective_text, writer%part, error)
     call check_frames(writer, frames, rows, error)
     if (allocated(error)) then
       call close_quietly(writer)
@@ -146,6 +152,7 @@ contains
     end if
     if (has_entry(writer%file%root, 'summary')) call delete_entry(writer%file, writer%file%root, 'summary', error)
     call continue_meta(writer, info, error)
+    if (present(onward)) call replace_first_counts(writer, onward%frames - frames, onward%rows - rows, error)
     call flush_file(writer%file, error)
     call check_room(writer, info, error)
     if (allocated(error)) call close_quietly(writer)
@@ -381,6 +388,20 @@ contains
       call close_group(file, meta)
     end associate
   end subroutine continue_meta
+
+  !> The schedule's counts at the file's first frame and row.
+  subroutine replace_first_counts(writer, frame, row, error)
+    type(run_writer_t), intent(inout) :: writer
+    integer(i8), intent(in) :: frame, row
+    type(error_t), allocatable, intent(inout) :: error
+    type(location_t) :: meta
+    call open_group(writer%file, writer%file%root, 'meta', meta, error)
+    call delete_entry(writer%file, meta, 'first_frame', error)
+    call write_value(writer%file, meta, 'first_frame', frame, '1', error)
+    call delete_entry(writer%file, meta, 'first_row', error)
+    call write_value(writer%file, meta, 'first_row', row, '1', error)
+    call close_group(writer%file, meta)
+  end subroutine replace_first_counts
 
   !> One process's share of the run: the lineage of restarts, numbered from 1.
   subroutine start_session(writer, sessions, info, error)
