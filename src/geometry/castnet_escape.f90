@@ -13,7 +13,7 @@
 module castnet_escape
   use castnet_kinds, only: wp
   use castnet_ray, only: any_ray_meets
-  use castnet_shape, only: shape_t, signed_distance, shape_bounding_radius, surface_samples
+  use castnet_shape, only: shape_t, signed_distance, shape_bounding_radius, shape_bounds, surface_samples
   implicit none
   private
   public :: free_directions
@@ -33,7 +33,8 @@ module castnet_escape
     real(wp), allocatable :: normal(:, :)        !! outward normal of the body's nearest point
     real(wp), allocatable :: rim(:, :)           !! (3,:) points of the body
     real(wp), allocatable :: start(:, :)         !! (3,:) and where their rays start
-    real(wp) :: radius = 0.0_wp                  !! of a ball that holds the body [m]
+    real(wp) :: lower(3) = 0.0_wp, upper(3) = 0.0_wp !! box that holds the body [m]
+    real(wp) :: radius = 0.0_wp                  !! and ball [m]
   end type scene_t
 
 contains
@@ -59,7 +60,7 @@ contains
     do k = 1, size(judged)
       if (.not. judged(k)) cycle
       d = direction(k, :)
-      call squares_ahead(scene%n_square, scene%middle, scene%reach, scene%radius, d, near, n_near)
+      call squares_ahead(scene%n_square, scene%middle, scene%reach, scene%lower, scene%upper, d, near, n_near)
       free(k) = n_near == 0
       if (free(k)) cycle
       call points_in_the_way(shape, scene, near(:n_near), d, ahead, blocked)
@@ -78,6 +79,7 @@ contains
     scene%n_square = n
     scene%corner = corner
     scene%radius = shape_bounding_radius(shape)
+    call shape_bounds(shape, scene%lower, scene%upper)
     allocate (scene%middle(n, 3), scene%reach(n), scene%point(3, per_square*n), scene%distance(per_square*n), &
               scene%normal(3, per_square*n))
     do i = 1, n
@@ -100,23 +102,30 @@ contains
     end do
   end subroutine prepare
 
-  !> Squares that can stand in the way: not beside the tube that the body's ball runs
-  !> through, nor behind it.
-  pure subroutine squares_ahead(n, middle, reach, radius, d, near, n_near)
+  !> Squares that can stand in the way: the way back from their middle meets the body's box,
+  !> widened by their reach.
+  pure subroutine squares_ahead(n, middle, reach, lower, upper, d, near, n_near)
     integer, intent(in) :: n
-    real(wp), intent(in) :: middle(n, 3), reach(n), radius, d(3)
+    real(wp), intent(in) :: middle(n, 3), reach(n), lower(3), upper(3), d(3)
     integer, intent(inout) :: near(:)
     integer, intent(out) :: n_near
-    real(wp) :: along, beside, margin(n)
+    real(wp) :: inverse(3), centre(3), half(3), t1, t2, t3, w1, w2, w3, overlap(n)
     integer :: i
+    inverse = 1.0_wp/sign(max(abs(d), 1.0e-30_wp), d)
+    centre = 0.5_wp*(lower + upper)
+    half = 0.5_wp*(upper - lower)
     do i = 1, n
-      along = middle(i, 1)*d(1) + middle(i, 2)*d(2) + middle(i, 3)*d(3)
-      beside = middle(i, 1)*middle(i, 1) + middle(i, 2)*middle(i, 2) + middle(i, 3)*middle(i, 3) - along*along
-      margin(i) = min((radius + reach(i))*(radius + reach(i)) - beside, radius + reach(i) + along)
+      t1 = (middle(i, 1) - centre(1))*inverse(1)
+      t2 = (middle(i, 2) - centre(2))*inverse(2)
+      t3 = (middle(i, 3) - centre(3))*inverse(3)
+      w1 = (half(1) + reach(i))*abs(inverse(1))
+      w2 = (half(2) + reach(i))*abs(inverse(2))
+      w3 = (half(3) + reach(i))*abs(inverse(3))
+      overlap(i) = min(t1 + w1, t2 + w2, t3 + w3) - max(0.0_wp, t1 - w1, t2 - w2, t3 - w3)
     end do
     n_near = 0
     do i = 1, n
-      if (margin(i) < 0.0_wp) cycle
+      if (overlap(i) < 0.0_wp) cycle
       n_near = n_near + 1
       near(n_near) = i
     end do
@@ -130,7 +139,6 @@ contains
     real(wp), intent(in) :: d(3)
     real(wp), intent(inout) :: ahead(:, :)  !! scratch
     logical, intent(out) :: blocked
-    real(wp) :: along, beside
     integer :: i, k, n
     n = 0
     blocked = .true.
@@ -140,13 +148,8 @@ contains
           if (scene%normal(1, k)*d(1) + scene%normal(2, k)*d(2) + scene%normal(3, k)*d(3) > 0.0_wp) return
           cycle
         end if
-        associate (p => scene%point(:, k))
-          along = p(1)*d(1) + p(2)*d(2) + p(3)*d(3)
-          beside = p(1)*p(1) + p(2)*p(2) + p(3)*p(3) - along*along
-          if (along < -scene%radius .or. beside > scene%radius*scene%radius) cycle
-          n = n + 1
-          ahead(:, n) = p
-        end associate
+        n = n + 1
+        ahead(:, n) = scene%point(:, k)
       end do
     end do
     blocked = any_ray_meets(shape, n, ahead(:, :n), -d)

@@ -115,7 +115,7 @@ contains
     real(wp), parameter :: pi = 3.14159265358979323846_wp
     real(wp), allocatable :: side(:, :), bound(:)
     real(wp) :: axis(3), trial(3), cosine, best
-    integer :: k
+    integer :: first, i, k
     half_angle = 0.0_wp
     if (all(covered)) return
     half_angle = pi
@@ -123,14 +123,14 @@ contains
     call collect_sides(corner, side)
     call nearest_covered(direction, covered, bound)
     ! A covered direction is a point of the surface, so `bound` is the least cosine that the
-    ! exact distance can have: most directions need no more than this.
+    ! exact distance can have. From the most promising direction on, few need more than this.
     best = 1.0_wp
-    do
-      k = minloc(bound, dim=1)
-      if (bound(k) >= best) exit
+    first = minloc(bound, dim=1)
+    do i = 0, size(covered)
+      k = merge(first, i, i == 0)
+      if (bound(k) >= best) cycle
       trial = direction(k, :)
       cosine = nearest_side(side, trial)
-      bound(k) = 2.0_wp
       if (cosine >= best) cycle
       best = cosine
       axis = trial
@@ -204,17 +204,20 @@ contains
   pure real(wp) function nearest_side(side, d) result(cosine)
     real(wp), contiguous, intent(in) :: side(:, :)
     real(wp), intent(in) :: d(3)
-    real(wp) :: ends, height, over
+    real(wp) :: ends, height, over, least
     integer :: i
-    cosine = -1.0_wp
+    ends = -1.0_wp
+    least = 1.0_wp
     do i = 1, size(side, 1)
-      ends = max(d(1)*side(i, 1) + d(2)*side(i, 2) + d(3)*side(i, 3), &
+      ends = max(ends, d(1)*side(i, 1) + d(2)*side(i, 2) + d(3)*side(i, 3), &
                  d(1)*side(i, 4) + d(2)*side(i, 5) + d(3)*side(i, 6))
       height = d(1)*side(i, 7) + d(2)*side(i, 8) + d(3)*side(i, 9)
       over = min(d(1)*side(i, 10) + d(2)*side(i, 11) + d(3)*side(i, 12), &
                  d(1)*side(i, 13) + d(2)*side(i, 14) + d(3)*side(i, 15))
-      cosine = max(cosine, merge(sqrt(max(0.0_wp, 1.0_wp - height*height)), ends, over > 0.0_wp))
+      least = min(least, merge(height*height, 1.0_wp, over > 0.0_wp))
     end do
+    cosine = max(ends, sqrt(max(0.0_wp, 1.0_wp - least)))
+    if (.not. least < 1.0_wp) cosine = ends
   end function nearest_side
 
   !> Move the axis of an empty cone to where the cone is wider: steps along eight tangents,
