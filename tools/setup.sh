@@ -81,28 +81,36 @@ install_python_packages() {
   cp "$wanted" "$stamp"
 }
 
-# The flags of the release build stand in fpm.rsp, once; the commit is added here, so
-# that `castnet version` and every result can name it. A plain `fpm @release` also builds.
+# The flags of the release build stand in fpm.rsp, once.
 release_flags() {
-  local flags commit
-  flags=$(sed -n '/^@release$/,/^@release-test$/s/.*--flag "\(.*\)"$/\1/p' "$castnet_root/fpm.rsp" | head -1)
+  sed -n '/^@release$/,/^@release-test$/s/.*--flag "\(.*\)"$/\1/p' "$castnet_root/fpm.rsp" | head -1
+}
+
+# The commit goes into one C file, so that `castnet version` and every result can name it;
+# a plain `fpm @release` also builds, and says that it does not know.
+commit_flags() {
+  local commit
   commit=$(git -C "$castnet_root" describe --always --dirty --abbrev=12 2>/dev/null || true)
-  printf '%s' "$flags${commit:+ -DCASTNET_COMMIT=$commit}"
+  printf '%s' "-O2${commit:+ -DCASTNET_COMMIT=$commit}"
 }
 
 # Build the release, set $castnet to the program.
 build_castnet() {
   echo "castnet: building the release"
-  local flags log
+  local flags commit log
   flags=$(release_flags)
+  commit=$(commit_flags)
   log=$(mktemp)
-  (cd "$castnet_root" && fpm build --profile release --flag "$flags") >"$log" 2>&1 </dev/null || {
+  # fpm links anew only when it compiles something: without this, going back to an earlier
+  # commit's object would leave the other commit's name in the program.
+  rm -f "$castnet_root"/build/*/castnet/src_base_castnet_commit.c.o*
+  (cd "$castnet_root" && fpm build --profile release --flag "$flags" --c-flag "$commit") >"$log" 2>&1 </dev/null || {
     tail -40 "$log" >&2
     rm -f "$log"
     lacking "the release build failed; the compiler's words stand above."
   }
   rm -f "$log"
-  castnet=$(cd "$castnet_root" && fpm run castnet --profile release --flag "$flags" --runner echo 2>/dev/null </dev/null |
+  castnet=$(cd "$castnet_root" && fpm run castnet --profile release --flag "$flags" --c-flag "$commit" --runner echo 2>/dev/null </dev/null |
     grep -E '/castnet$' | tail -1)
   case $castnet in /*) ;; *) castnet=$castnet_root/$castnet ;; esac
   [ -x "$castnet" ] || lacking "the build finished, but the program is not where fpm says: $castnet"

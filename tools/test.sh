@@ -53,7 +53,7 @@ run_group() {
 
 run_group "Fortran tests, check build" fpm @check ${filter:+-- "$filter"}
 run_group "Fortran tests, release build" \
-  fpm test --target unit --profile release --flag "$(release_flags)" ${filter:+-- "$filter"}
+  fpm test --target unit --profile release --flag "$(release_flags)" --c-flag "$(commit_flags)" ${filter:+-- "$filter"}
 if [ -z "$filter" ]; then
   build_castnet
   for script in test/system/*.py; do

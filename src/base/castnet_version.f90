@@ -1,9 +1,9 @@
 !> What this program is: version, commit, compiler, flags.
 !>
-!> The commit comes from the build: `-DCASTNET_COMMIT=\\'0123abcd\\'` among the flags that
-!> fpm is given (the install script does so), or from the archive that git made of a
-!> commit; otherwise it is not known, and says so.
+!> The commit comes from the build (castnet_commit.c), or from the archive that git made
+!> of a commit; otherwise it is not known, and says so.
 module castnet_version
+  use, intrinsic :: iso_c_binding, only: c_char, c_int
   use, intrinsic :: iso_fortran_env, only: compiler_version, compiler_options
   implicit none
   private
@@ -14,17 +14,16 @@ module castnet_version
   ! git archive puts the commit here (.gitattributes: export-subst).
   character(len=*), parameter :: archive_commit = '$Format:%H$'
 
-#ifdef CASTNET_COMMIT
-  character(len=*), parameter :: built_commit = CASTNET_COMMIT
-#else
-  character(len=*), parameter :: built_commit = ''
-#endif
-
   interface
     !> LAPACK's own version.
     subroutine ilaver(major, minor, patch)
       integer, intent(out) :: major, minor, patch
     end subroutine ilaver
+    integer(c_int) function castnet_commit(text, room) bind(c, name='castnet_commit')
+      import :: c_char, c_int
+      character(kind=c_char), intent(out) :: text(*)
+      integer(c_int), value :: room
+    end function castnet_commit
   end interface
 
 contains
@@ -32,8 +31,14 @@ contains
   !> The commit this was built from, or 'unknown'.
   function git_commit() result(commit)
     character(len=:), allocatable :: commit
-    if (len(built_commit) > 0) then
-      commit = built_commit
+    character(kind=c_char) :: text(64)
+    integer :: i, length
+    length = castnet_commit(text, size(text))
+    if (length > 0) then
+      allocate (character(len=length) :: commit)
+      do i = 1, length
+        commit(i:i) = text(i)
+      end do
     else if (archive_commit(1:1) /= '$') then
       commit = archive_commit
     else
