@@ -101,9 +101,9 @@ build_castnet() {
   flags=$(release_flags)
   commit=$(commit_flags)
   log=$(mktemp)
-  # fpm links anew only when it compiles something: without this, going back to an earlier
-  # commit's object would leave the other commit's name in the program.
-  rm -f "$castnet_root"/build/*/castnet/src_base_castnet_commit.c.o*
+  # fpm links anew only when it compiles something, and never takes an object out of a
+  # library: without this, another commit's name or a removed module could stay in the program.
+  rm -f "$castnet_root"/build/*/castnet/src_base_castnet_commit.c.o* "$castnet_root"/build/*/castnet/libcastnet.a*
   (cd "$castnet_root" && fpm build --profile release --flag "$flags" --c-flag "$commit") >"$log" 2>&1 </dev/null || {
     tail -40 "$log" >&2
     rm -f "$log"
