@@ -70,7 +70,7 @@ contains
     do j = 1, 3
       do i = 1, n
         q(i, j) = merge(1.0_wp + 0.5_wp*modulo(7*i + 3*j, 11)/11.0_wp, -1.0_wp - 0.5_wp*modulo(5*i + j, 13)/13.0_wp, &
-                        modulo(i*i + 3*i*j + i/7, 5) > 1)
+                        modulo(modulo(i, 5)*(modulo(i, 5) + 3*j) + i/7, 5) > 1)
       end do
     end do
     where (spread(root, 2, 3) == 0.0_wp) q = 0.0_wp
