@@ -7,8 +7,7 @@ module test_contact
   use castnet_shape, only: signed_distance
   use castnet_rotation, only: rotation_matrix, multiply, normalise_quaternion
   use castnet_contact_list, only: contact_list_t, body_inertia_t, impulse_report_t, reserve_contacts
-  use castnet_impulse_solver, only: impulse_problem_t
-  use castnet_contact_response, only: resolve_contacts
+  use castnet_contact_response, only: contact_solver_t, resolve_contacts
   use castnet_contact_event, only: contact_work_t, new_contact_work, handle_contacts, detect_contacts
   use castnet_contact_horizon, only: earliest_contact_time
   use castnet_broad_phase, only: net_box, boxes_apart
@@ -97,7 +96,7 @@ contains
   subroutine single_is_several()
     type(contact_list_t) :: list, pair
     type(body_inertia_t) :: body
-    type(impulse_problem_t) :: problem
+    type(contact_solver_t) :: solver
     type(impulse_report_t) :: report
     type(contact_t) :: contact
     type(random_t) :: random
@@ -107,7 +106,7 @@ contains
       if (list%normal_velocity(1) > 0.0_wp) cycle
       contact%push_only = mod(trial, 2) == 0
       contact%restitution = uniform(random)
-      call resolve_contacts(contact, body, list, problem, report)
+      call resolve_contacts(contact, body, list, solver, report)
       call reserve_contacts(pair, 2)
       pair%n = 2
       pair%node_a(1:2) = [1, 2]
@@ -121,7 +120,7 @@ contains
       pair%velocity(2, :) = list%velocity(1, :) + 100.0_wp*list%normal(1, :)
       pair%normal_velocity(1) = list%normal_velocity(1)
       pair%normal_velocity(2) = list%normal_velocity(1) + 100.0_wp
-      call resolve_contacts(contact, body, pair, problem, report)
+      call resolve_contacts(contact, body, pair, solver, report)
       call expect_close(pair%impulse(1), list%impulse(1), 'impulse', rtol=1.0e-13_wp)
       call expect(.not. abs(pair%impulse(2)) > 0.0_wp, 'no impulse on the parting node')
     end do
@@ -168,7 +167,7 @@ contains
     use castnet_dense_impulse, only: delassus_matrix
     type(contact_list_t) :: list
     type(body_inertia_t) :: body
-    type(impulse_problem_t) :: problem
+    type(contact_solver_t) :: solver
     type(impulse_report_t) :: report
     type(contact_t) :: contact
     type(random_t) :: random
@@ -183,7 +182,7 @@ contains
       do k = 1, 6
         n = sizes(k)
         call random_contacts(random, n, masses(c), 2.0_wp, list, body)
-        call resolve_contacts(contact, body, list, problem, report)
+        call resolve_contacts(contact, body, list, solver, report)
         m = delassus_matrix(list, body, rows_of(list))
         allocate (j(n), source=list%impulse(1:n))
         allocate (slack(n))
@@ -261,7 +260,7 @@ contains
   subroutine no_energy()
     type(contact_list_t) :: list
     type(body_inertia_t) :: body
-    type(impulse_problem_t) :: problem
+    type(contact_solver_t) :: solver
     type(impulse_report_t) :: report
     type(contact_t) :: contact
     type(random_t) :: random
@@ -274,7 +273,7 @@ contains
       n = 1 + int(12.0_wp*uniform(random))
       call random_contacts(random, n, 10.0_wp**(4.0_wp*uniform(random) - 3.0_wp), 2.0_wp, list, body)
       contact%restitution = merge(1.0_wp, uniform(random), mod(trial, 2) == 0)
-      call resolve_contacts(contact, body, list, problem, report)
+      call resolve_contacts(contact, body, list, solver, report)
       work = sum(list%impulse(1:n)**2*list%inverse_mass_a(1:n))
       call expect(report%energy_loss >= -1.0e-12_wp*work, 'an event created energy')
       call expect(report%converged, 'converged')

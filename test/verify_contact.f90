@@ -5,8 +5,7 @@ module verify_contact
   use castnet_model, only: model_t, contact_t
   use castnet_state, only: state_t
   use castnet_contact_list, only: contact_list_t, body_inertia_t, impulse_report_t, reserve_contacts
-  use castnet_impulse_solver, only: impulse_problem_t
-  use castnet_contact_response, only: resolve_contacts
+  use castnet_contact_response, only: contact_solver_t, resolve_contacts
   use castnet_contact_event, only: contact_work_t, new_contact_work, handle_contacts
   use contact_cases, only: new_case, set_body, momentum, angular_momentum, kinetic_energy, random_t, &
                            random_direction, random_contacts
@@ -65,7 +64,7 @@ contains
   subroutine two_nodes_on_a_rod()
     type(contact_list_t) :: list
     type(body_inertia_t) :: body
-    type(impulse_problem_t) :: problem
+    type(contact_solver_t) :: solver
     type(impulse_report_t) :: report
     type(contact_t) :: contact
     real(wp) :: determinant, exact(2)
@@ -95,11 +94,11 @@ contains
     do i = 1, 2
       contact%dense = i == 2
       contact%push_only = .false.
-      call resolve_contacts(contact, body, list, problem, report)
+      call resolve_contacts(contact, body, list, solver, report)
       call expect_close(list%impulse(1:2), exact, 'equality', rtol=1.0e-14_wp)
       call expect_close(list%impulse(1:2), [0.732667_wp, -0.059333_wp], 'equality, as published', atol=5.0e-7_wp)
       contact%push_only = .true.
-      call resolve_contacts(contact, body, list, problem, report)
+      call resolve_contacts(contact, body, list, solver, report)
       call expect_close(list%impulse(1:2), [2.0_wp/2.75_wp, 0.0_wp], 'complementarity', rtol=1.0e-14_wp)
       call expect_close(report%restitution, 1.0_wp, 'restitution stays', atol=0.0_wp)
     end do
@@ -109,7 +108,7 @@ contains
   subroutine dense_against_reduced()
     type(contact_list_t) :: list
     type(body_inertia_t) :: body
-    type(impulse_problem_t) :: problem
+    type(contact_solver_t) :: solver
     type(impulse_report_t) :: report
     type(contact_t) :: contact
     type(random_t) :: random
@@ -133,10 +132,10 @@ contains
             contact%push_only = push == 1
             contact%dense = .true.
             contact%restitution = 0.5_wp
-            call resolve_contacts(contact, body, list, problem, report)
+            call resolve_contacts(contact, body, list, solver, report)
             allocate (j(list%n), source=list%impulse(1:list%n))
             contact%dense = .false.
-            call resolve_contacts(contact, body, list, problem, report)
+            call resolve_contacts(contact, body, list, solver, report)
             off = maxval(abs(list%impulse(1:list%n) - j))/max(maxval(abs(j)), tiny(1.0_wp))
             worst = max(worst, off)
             call expect(off <= 1.0e-12_wp, 'dense and reduced impulses differ by more than 1e-12')

@@ -12,8 +12,7 @@ module castnet_contact_event
   use castnet_broad_phase, only: net_box, boxes_apart, into_body_axes
   use castnet_narrow_phase, only: candidates_t, reserve_candidates, select_candidates, measure_gaps, &
                                   append_node_contacts, set_velocities
-  use castnet_impulse_solver, only: impulse_problem_t, reserve_problem, twist_of_impulses
-  use castnet_contact_response, only: resolve_contacts, resolve_depths
+  use castnet_contact_response, only: contact_solver_t, reserve_solver, resolve_contacts, resolve_depths
   use castnet_contact_projection, only: cable_incidence_t, new_incidence, energy_of_moved_cables, move_nodes
   use castnet_contact_horizon, only: earliest_contact_time
   implicit none
@@ -33,7 +32,7 @@ module castnet_contact_event
     logical :: near = .false.                  !! the last call had candidates; saves the box test
     type(contact_list_t) :: list
     type(candidates_t) :: candidates
-    type(impulse_problem_t) :: problem
+    type(contact_solver_t) :: solver
     type(cable_incidence_t) :: incidence
     type(impulse_report_t) :: report
     real(wp), allocatable :: y(:, :)           !! (n_pad,3) nodes in body axes [m]
@@ -52,7 +51,7 @@ contains
     real(wp) :: lower(3), upper(3)
     if (.not. is_modelled(model)) return
     call reserve_contacts(work%list, model%net%n_node)
-    call reserve_problem(work%problem, work%list%capacity)
+    call reserve_solver(work%solver, work%list, model%contact%friction)
     call reserve_candidates(work%candidates, model%net%n_node)
     call new_incidence(work%incidence, model%net)
     allocate (work%y(model%net%n_pad, 3), work%outside(model%net%n_pad), source=0.0_wp)
@@ -146,18 +145,17 @@ contains
     type(contact_work_t), intent(inout) :: work
     real(wp), intent(in) :: r(3, 3)
     type(body_inertia_t) :: body
-    real(wp) :: twist(6)
     body = body_inertia(model, r)
-    call resolve_contacts(model%contact, body, work%list, work%problem, work%report)
+    call resolve_contacts(model%contact, body, work%list, work%solver, work%report)
     call kick_nodes(model%net%n_pad, state%node_velocity, work%list)
-    twist = twist_of_impulses(work%problem, body)
     if (body%free) then
-      state%target%velocity = state%target%velocity + twist(1:3)
-      state%target%angular_velocity = state%target%angular_velocity + multiply_transposed(r, twist(4:6))
+      state%target%velocity = state%target%velocity + work%report%twist(1:3)
+      state%target%angular_velocity = state%target%angular_velocity + multiply_transposed(r, work%report%twist(4:6))
       ! Impulses against the orbital frame, which turns at W = (0,-n,0), do the work
       ! W . (change of the spin's momentum) on the inertial spin besides their own loss.
       if (abs(model%orbit_rate) > 0.0_wp) state%ledger%external_work = state%ledger%external_work - model%orbit_rate* &
-          (body%inertia(2, 1)*twist(4) + body%inertia(2, 2)*twist(5) + body%inertia(2, 3)*twist(6))
+          (body%inertia(2, 1)*work%report%twist(4) + body%inertia(2, 2)*work%report%twist(5) &
+           + body%inertia(2, 3)*work%report%twist(6))
     end if
     call keep_books(model, state, work)
   end subroutine exchange_impulses
@@ -235,17 +233,16 @@ contains
     if (deepest > 0.0_wp) then
       do pass = 1, max_projection
         body = body_inertia(model, r)
-        call resolve_depths(body, work%list, work%problem)
+        call resolve_depths(body, work%list, work%solver, shift)
         associate (net => model%net)
-          call energy_of_moved_cables(net, net%n_pad, state%node_position, work%list, work%problem%impulse, &
+          call energy_of_moved_cables(net, net%n_pad, state%node_position, work%list, work%solver%normal%impulse, &
                                       work%incidence, before)
-          call move_nodes(net%n_pad, state%node_position, work%list, work%problem%impulse)
-          call energy_of_moved_cables(net, net%n_pad, state%node_position, work%list, work%problem%impulse, &
+          call move_nodes(net%n_pad, state%node_position, work%list, work%solver%normal%impulse)
+          call energy_of_moved_cables(net, net%n_pad, state%node_position, work%list, work%solver%normal%impulse, &
                                       work%incidence, after)
         end associate
         state%ledger%projection_work = state%ledger%projection_work + (after - before)
         if (body%free) then
-          shift = twist_of_impulses(work%problem, body)
           state%target%position = state%target%position + shift(1:3)
           state%target%attitude = normalise_quaternion(quaternion_product( &
                                   quaternion_from_rotation_vector(shift(4:6)), state%target%attitude))

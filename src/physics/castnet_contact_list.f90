@@ -46,6 +46,7 @@ module castnet_contact_list
     real(wp) :: restitution = 0.0_wp       !! used: lowered when the scene's would create energy [-]
     real(wp) :: energy_loss = 0.0_wp       !! kinetic energy taken by the impulses [J]
     logical :: converged = .true.
+    real(wp) :: twist(6) = 0.0_wp          !! change of the body's velocity and rate, inertial axes [m/s], [rad/s]
   end type impulse_report_t
 
 contains

@@ -3,89 +3,122 @@
 !>
 !> `equality` (the paper's): approaching contacts only, v+ = -e v-, impulses of any
 !> sign. `push_only`: 0 <= j, 0 <= v+ + e min(v-, 0), j (v+ + e min(v-, 0)) = 0 for
-!> every contact in the list.
+!> every contact in the list. Friction adds |j_t| <= mu j, sliding against v_t+.
 !>
 !> Newton's restitution applied to several contacts at once can create energy: a
-!> contact that was parting slowly is pushed by its neighbour's rebound. With e = 0 it
-!> cannot (v+ is then a projection of v-), so the event takes the largest e up to the
-!> scene's at which the kinetic energy does not grow.
+!> contact that was parting slowly is pushed by its neighbour's rebound, and with
+!> friction a single spinning body can (Kane's paradox). With e = 0 it cannot: then
+!> j.v+ <= 0 at every contact, and the change of energy is sum j.v+ - j.M j/2. So the
+!> event takes the largest e up to the scene's at which the kinetic energy does not grow
+!> (and at which the solver finds an answer, which without friction it always does).
 module castnet_contact_response
   use castnet_kinds, only: wp
   use castnet_model, only: contact_t
-  use castnet_contact_list, only: contact_list_t, body_inertia_t, impulse_report_t
-  use castnet_impulse_solver, only: impulse_problem_t, reserve_problem, solve_single, solve_reduced, measure, pad
+  use castnet_contact_list, only: contact_list_t, body_inertia_t, impulse_report_t, lane
+  use castnet_impulse_solver, only: impulse_problem_t, reserve_problem, solve_single, solve_reduced, measure, pad, &
+                                    twist_of_impulses
+  use castnet_friction_solver, only: friction_problem_t, reserve_friction, solve_friction
+  use castnet_coupled_friction, only: coupled_work_t, reserve_coupled, solve_coupled_friction
   use castnet_dense_impulse, only: solve_dense
   use castnet_contact_projection, only: set_depths, mass_of
   implicit none
   private
-  public :: resolve_contacts, resolve_depths
+  public :: contact_solver_t, reserve_solver, resolve_contacts, resolve_depths
 
   !> A gain of kinetic energy below this part of the work of all impulses is rounding [-].
   real(wp), parameter :: energy_rounding = 1.0e-13_wp
-  integer, parameter :: max_trial = 40
+  integer, parameter :: max_trial = 60
+  integer, parameter :: max_turn = 20
+
+  !> The solvers' scratch.
+  type :: contact_solver_t
+    type(impulse_problem_t) :: normal      !! without friction; also the projection's
+    type(friction_problem_t) :: friction
+    type(coupled_work_t) :: coupled        !! contacts that share nodes
+  end type contact_solver_t
 
 contains
 
-  !> Impulses of every contact, into `list%impulse` and `list%friction_impulse`; what
-  !> they do to net and target is the caller's.
-  subroutine resolve_contacts(contact, body, list, problem, report)
+  !> Room for a list.
+  subroutine reserve_solver(solver, list, friction)
+    type(contact_solver_t), intent(inout) :: solver
+    type(contact_list_t), intent(in) :: list
+    real(wp), intent(in) :: friction
+    call reserve_problem(solver%normal, list%capacity)
+    if (friction > 0.0_wp) call reserve_friction(solver%friction, list%capacity)
+  end subroutine reserve_solver
+
+  !> Impulses of every contact, into `list%impulse` and `list%friction_impulse`, and the
+  !> body's change of twist, into the report; to apply them is the caller's.
+  subroutine resolve_contacts(contact, body, list, solver, report)
     type(contact_t), intent(in) :: contact
     type(body_inertia_t), intent(in) :: body
     type(contact_list_t), intent(inout) :: list
-    type(impulse_problem_t), intent(inout) :: problem
+    type(contact_solver_t), intent(inout) :: solver
     type(impulse_report_t), intent(out) :: report
+    type(contact_t) :: frictionless
     real(wp) :: low, high, e, low_loss, high_loss, work
     integer :: trial, iterations
-    call reserve_problem(problem, list%capacity)
-    call set_rows(list, problem)
-    call attempt(contact, body, list, problem, contact%restitution, report, work)
-    if (report%energy_loss < -energy_rounding*work) then
-      high = contact%restitution
-      high_loss = report%energy_loss
-      iterations = report%iterations
-      call attempt(contact, body, list, problem, 0.0_wp, report, work)
+    call reserve_solver(solver, list, contact%friction)
+    call set_rows(list, solver%normal)
+    call attempt(contact, body, list, solver, contact%restitution, report, work)
+    if (report%converged .and. report%energy_loss >= -energy_rounding*work) return
+    high = contact%restitution
+    high_loss = report%energy_loss
+    iterations = report%iterations
+    low = 0.0_wp
+    call attempt(contact, body, list, solver, low, report, work)
+    low_loss = report%energy_loss
+    iterations = iterations + report%iterations
+    do trial = 1, max_trial
+      if (high - low <= 1.0e-6_wp*high) exit
+      ! The loss is concave in e on one set of pushing contacts: the chord's root is on
+      ! the safe side, and as a rule the first one will do.
+      e = min(max(low_loss, 0.0_wp)/max(low_loss - high_loss, tiny(1.0_wp)), 1.0_wp - 1.0e-12_wp)
+      if (trial > 6) e = 0.5_wp
+      e = low + (high - low)*e
+      call attempt(contact, body, list, solver, e, report, work)
       iterations = iterations + report%iterations
-      low = 0.0_wp
-      low_loss = report%energy_loss
-      do trial = 1, max_trial
-        if (high - low <= 1.0e-3_wp*high) exit
-        ! The loss is concave in e on one set of pushing contacts: the chord's root is on
-        ! the safe side, and as a rule the first one will do.
-        e = min(low_loss/max(low_loss - high_loss, tiny(1.0_wp)), 1.0_wp - 1.0e-12_wp)
-        if (trial > 4) e = 0.5_wp
-        e = low + (high - low)*e
-        call attempt(contact, body, list, problem, e, report, work)
-        iterations = iterations + report%iterations
-        if (report%energy_loss < 0.0_wp) then
-          high = e
-          high_loss = report%energy_loss
-        else
-          low = e
-          low_loss = report%energy_loss
-          if (low_loss <= 1.0e-3_wp*work) exit
-        end if
-      end do
-      if (report%restitution > low .or. report%restitution < low) then
-        call attempt(contact, body, list, problem, low, report, work)
-        iterations = iterations + report%iterations
+      if (report%energy_loss < 0.0_wp .or. .not. report%converged) then
+        high = e
+        high_loss = report%energy_loss
+      else
+        low = e
+        low_loss = report%energy_loss
+        if (low_loss <= 1.0e-3_wp*work) exit
       end if
-      report%iterations = iterations
+    end do
+    if (abs(report%restitution - low) > 0.0_wp) then
+      call attempt(contact, body, list, solver, low, report, work)
+      iterations = iterations + report%iterations
     end if
-    list%impulse(1:list%n) = problem%impulse(1:list%n)
+    if (report%energy_loss < -energy_rounding*work .or. .not. report%converged) then
+      ! A solve that did not converge: without friction there is one, and it never creates energy.
+      frictionless = contact
+      frictionless%friction = 0.0_wp
+      list%friction_impulse(1:list%n, :) = 0.0_wp
+      call attempt(frictionless, body, list, solver, 0.0_wp, report, work)
+      iterations = iterations + report%iterations
+      report%converged = .false.
+    end if
+    report%iterations = iterations
   end subroutine resolve_contacts
 
   !> Displacements that bring every contact with a negative gap back to the surface, as
-  !> mass times displacement of each pair in `problem%impulse` [kg m].
-  subroutine resolve_depths(body, list, problem)
+  !> mass times displacement of each pair in `solver%normal%impulse` [kg m], and the
+  !> body's: translation [m] and rotation vector [rad], inertial axes.
+  subroutine resolve_depths(body, list, solver, shift)
     type(body_inertia_t), intent(in) :: body
     type(contact_list_t), intent(in) :: list
-    type(impulse_problem_t), intent(inout) :: problem
+    type(contact_solver_t), intent(inout) :: solver
+    real(wp), intent(out) :: shift(6)
     real(wp) :: residual
     integer :: iterations
     logical :: converged
-    call set_rows(list, problem)
-    call set_depths(list, problem)
-    call solve(.false., body, list, problem, iterations, residual, converged)
+    call set_rows(list, solver%normal)
+    call set_depths(list, solver%normal)
+    call solve_normal(.false., body, list, solver%normal, iterations, residual, converged)
+    shift = twist_of_impulses(solver%normal, body)
   end subroutine resolve_depths
 
   !> Rows b_i = [n, r x n] and the effective masses of the contact points.
@@ -106,24 +139,64 @@ contains
     end do
   end subroutine set_rows
 
-  !> Solve with one coefficient of restitution.
-  subroutine attempt(contact, body, list, problem, e, report, work)
+  !> Solve with one coefficient of restitution; impulses into the list.
+  subroutine attempt(contact, body, list, solver, e, report, work)
     type(contact_t), intent(in) :: contact
     type(body_inertia_t), intent(in) :: body
-    type(contact_list_t), intent(in) :: list
-    type(impulse_problem_t), intent(inout) :: problem
+    type(contact_list_t), intent(inout) :: list
+    type(contact_solver_t), intent(inout) :: solver
     real(wp), intent(in) :: e
     type(impulse_report_t), intent(inout) :: report
-    real(wp), intent(out) :: work  !! sum |j (v- + v+)/2| [J]
-    call set_needs(list, contact%push_only, e, problem)
-    call solve(contact%dense, body, list, problem, report%iterations, report%residual, report%converged)
+    real(wp), intent(out) :: work  !! sum |j.(v- + v+)/2| and alike, what rounding is measured against [J]
+    call set_needs(list, contact%push_only, e, solver%normal)
     report%restitution = e
-    call work_of_impulses(list, problem, report%energy_loss, work)
+    if (contact%friction > 0.0_wp) then
+      call set_friction(list, contact, e, solver%normal, solver%friction)
+      call solve_tangential(body, list, solver, report)
+      call take_friction(solver%friction, list, report%energy_loss, work)
+    else
+      call solve_normal(contact%dense, body, list, solver%normal, report%iterations, report%residual, report%converged)
+      report%twist = twist_of_impulses(solver%normal, body)
+      call take_normal(solver%normal, list, report%energy_loss, work)
+    end if
   end subroutine attempt
 
-  !> The solver that fits the problem. Fixed nodes on a free target have no mass to put
+  !> The solver with friction that fits: the 6 x 6 form where every contact has a mass of
+  !> its own; else contact by contact. Where the 6 x 6 form fails (seen only with nodes
+  !> ten times heavier than the body) sweeps contact by contact bring it near, by turns.
+  subroutine solve_tangential(body, list, solver, report)
+    type(body_inertia_t), intent(in) :: body
+    type(contact_list_t), intent(in) :: list
+    type(contact_solver_t), intent(inout) :: solver
+    type(impulse_report_t), intent(inout) :: report
+    integer :: used, turn
+    logical :: reducible
+    reducible = .not. any(solver%normal%inverse_weight(1:list%n) <= 0.0_wp)
+    used = 0
+    if (reducible) then
+      report%twist = 0.0_wp
+      call solve_friction(solver%friction, body, .true., report%iterations, report%residual, report%converged, report%twist)
+      if (report%converged) return
+      used = report%iterations
+    end if
+    call reserve_coupled(solver%coupled, list%capacity, maxval(max(list%node_a(1:list%n), list%node_b(1:list%n))))
+    solver%friction%impulse(1:list%n, :) = 0.0_wp
+    do turn = 1, max_turn
+      call solve_coupled_friction(solver%friction, list, body, solver%coupled, report%iterations, report%residual, &
+                                  report%converged, report%twist)
+      used = used + report%iterations
+      if (report%converged) exit
+      if (.not. reducible) cycle
+      call solve_friction(solver%friction, body, .false., report%iterations, report%residual, report%converged, report%twist)
+      used = used + report%iterations
+      if (report%converged) exit
+    end do
+    report%iterations = used
+  end subroutine solve_tangential
+
+  !> The frictionless solver that fits. Fixed nodes on a free target have no mass to put
   !> into the reduced form; and where that form's search does not end, pivoting does.
-  subroutine solve(dense, body, list, problem, iterations, residual, converged)
+  subroutine solve_normal(dense, body, list, problem, iterations, residual, converged)
     logical, intent(in) :: dense
     type(body_inertia_t), intent(in) :: body
     type(contact_list_t), intent(in) :: list
@@ -147,7 +220,7 @@ contains
       go_dense = .not. converged
     end if
     if (go_dense) call solve_dense(problem, list, body, iterations, residual, converged)
-  end subroutine solve
+  end subroutine solve_normal
 
   !> The normal velocity that each contact has to gain, and which contacts count.
   pure subroutine set_needs(list, push_only, e, problem)
@@ -170,11 +243,35 @@ contains
     end do
   end subroutine set_needs
 
-  !> Kinetic energy that the impulses take away, -sum j (v- + v+)/2. Exact for any
-  !> masses: the work of an impulse is its product with the mean velocity.
-  pure subroutine work_of_impulses(list, problem, loss, work)
+  !> The same contacts with their tangential motion.
+  pure subroutine set_friction(list, contact, e, normal, problem)
     type(contact_list_t), intent(in) :: list
+    type(contact_t), intent(in) :: contact
+    real(wp), intent(in) :: e
+    type(impulse_problem_t), intent(in) :: normal
+    type(friction_problem_t), intent(inout) :: problem
+    integer :: i, c
+    problem%n = list%n
+    problem%push_only = contact%push_only
+    problem%friction = contact%friction
+    do c = 1, 3
+      do i = 1, list%n
+        problem%normal(i, c) = list%normal(i, c)
+        problem%arm(i, c) = list%arm(i, c)
+        problem%velocity(i, c) = list%velocity(i, c)
+      end do
+    end do
+    do i = 1, list%n
+      problem%mass(i) = normal%weight(i)
+      problem%rebound(i) = -e*min(list%normal_velocity(i), 0.0_wp)
+    end do
+  end subroutine set_friction
+
+  !> Impulses into the list; the kinetic energy that they take away, -sum j (v- + v+)/2:
+  !> the work of an impulse is its product with the mean velocity.
+  pure subroutine take_normal(problem, list, loss, work)
     type(impulse_problem_t), intent(in) :: problem
+    type(contact_list_t), intent(inout) :: list
     real(wp), intent(out) :: loss, work
     real(wp) :: term
     integer :: i
@@ -184,7 +281,29 @@ contains
       term = problem%impulse(i)*(list%normal_velocity(i) + 0.5_wp*problem%gained(i))
       loss = loss - term
       work = work + problem%impulse(i)*problem%impulse(i)*problem%inverse_weight(i) + abs(term)
+      list%impulse(i) = problem%impulse(i)
     end do
-  end subroutine work_of_impulses
+  end subroutine take_normal
+
+  pure subroutine take_friction(problem, list, loss, work)
+    type(friction_problem_t), intent(in) :: problem
+    type(contact_list_t), intent(inout) :: list
+    real(wp), intent(out) :: loss, work
+    real(wp) :: term, j(3)
+    integer :: i
+    loss = 0.0_wp
+    work = 0.0_wp
+    do i = 1, list%n
+      j = problem%impulse(i, :)
+      term = 0.5_wp*(j(1)*(list%velocity(i, 1) + problem%after(i, 1)) + j(2)*(list%velocity(i, 2) + problem%after(i, 2)) &
+                     + j(3)*(list%velocity(i, 3) + problem%after(i, 3)))
+      loss = loss - term
+      work = work + (j(1)*j(1) + j(2)*j(2) + j(3)*j(3))/max(problem%mass(i), tiny(1.0_wp)) + abs(term)
+      list%impulse(i) = j(1)*list%normal(i, 1) + j(2)*list%normal(i, 2) + j(3)*list%normal(i, 3)
+      list%friction_impulse(i, 1) = j(1) - list%impulse(i)*list%normal(i, 1)
+      list%friction_impulse(i, 2) = j(2) - list%impulse(i)*list%normal(i, 2)
+      list%friction_impulse(i, 3) = j(3) - list%impulse(i)*list%normal(i, 3)
+    end do
+  end subroutine take_friction
 
 end module castnet_contact_response
