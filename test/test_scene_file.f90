@@ -205,8 +205,6 @@ contains
                 's.nml:6: closing: the group &closing is not available yet')
     call refuse(net//body//time//'&contact threshold=1e-3 detect=''cables'' /', &
                 's.nml:4: contact/detect: seen ''cables'', which is not available yet; allowed: ''nodes''')
-    call refuse(net//body//time//'&contact threshold=1e-3 friction=0.3 /', &
-                's.nml:4: contact/friction: seen 0.3, which is not available yet')
     call refuse(net//body//time//'&contact threshold=1e-3 law=''penalty'' /', &
                 'contact/law: seen ''penalty'', which is not available yet')
     call refuse(net//'&time end_time=1 method=''adaptive'' /', 'time/method: seen ''adaptive'', which is not available yet')
