@@ -57,22 +57,32 @@ def panel_impulses(axis, run):
     axis.legend(ncols=2)
 
 
-def panel_energy(axis, run):
-    history = run.history
-    names = {
-        "kinetic_net": ("net, kinetic", "#2471a3"), "kinetic_target": ("target, kinetic (change)", "#9a6a00"),
-        "elastic": ("elastic", "#c0392b"), "dissipated": ("lost in cables", "#7d3c98"),
-        "contact_loss": ("lost at contacts", "#566573"), "winch_work": ("winch work", "#1e8449"),
-        "projection_work": ("projection work", "#cc6699"), "external_work": ("external work", "#117a65"),
-    }
-    # A tumbling rocket's own energy would dwarf all that happens: its change is shown.
-    values = {name: history[name].values for name in names if name in history}
+ENERGIES = {
+    "kinetic_net": ("net, kinetic", "#2471a3"), "kinetic_target": ("target, kinetic (change)", "#9a6a00"),
+    "elastic": ("elastic", "#c0392b"), "dissipated": ("lost in cables", "#7d3c98"),
+    "contact_loss": ("lost at contacts", "#566573"), "winch_work": ("winch work", "#1e8449"),
+    "projection_work": ("projection work", "#cc6699"), "external_work": ("external work", "#117a65"),
+}
+
+
+def energies(history) -> dict:
+    """The ledger's lines that are worth drawing: those above a thousandth of the largest [J].
+
+    A tumbling rocket's own energy would dwarf all that happens: its change is shown."""
+    values = {name: history[name].values for name in ENERGIES if name in history}
     if "kinetic_target" in values:
-        values["kinetic_target"] = values["kinetic_target"] - values["kinetic_target"][0]
-    largest = max(float(np.abs(value).max()) for value in values.values())
-    for name, value in values.items():
-        if np.abs(value).max() > 1e-3 * largest:
-            axis.plot(history.time, value, color=names[name][1], label=names[name][0])
+        start = values["kinetic_target"][0]
+        values["kinetic_target"] = values["kinetic_target"] - start
+        if np.abs(values["kinetic_target"]).max() < 1e-9 * start:
+            del values["kinetic_target"]
+    largest = max((float(np.abs(value).max()) for value in values.values()), default=0.0)
+    return {name: value for name, value in values.items() if np.abs(value).max() > 1e-3 * largest}
+
+
+def panel_energy(axis, run):
+    for name, value in energies(run.history).items():
+        label, colour = ENERGIES[name]
+        axis.plot(run.history.time, value, color=colour, label=label)
     axis.set(title="energy", ylabel="J")
     axis.legend(ncols=2, fontsize=6.5)
 
@@ -135,7 +145,7 @@ def panels(run: Run) -> list:
     if history is not None:
         if "contacts" in history and history["contacts"].values.sum() > 0:
             chosen.append(panel_impulses)
-        if "kinetic_net" in history or "kinetic_target" in history:
+        if energies(history):
             chosen.append(panel_energy)
     if run.has_net and run.data.sizes.get("cable", 0) and "cable_tension" in run.data:
         chosen.append(panel_tension)

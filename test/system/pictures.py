@@ -14,7 +14,7 @@ TARGET = ("&target shape = 'box', dimensions = 0.1, 0.1, 0.2, mass = 1.0, positi
           " angular_velocity = 0.3, 0, 0 /\n")
 SCENES = {  # name: (scene, panels that must be there)
     "net": (NET + "&time end_time = 0.2 /\n", {"energy", "tension"}),
-    "target": (TARGET + "&time end_time = 0.2 /\n", {"spin", "energy"}),
+    "target": (TARGET + "&time end_time = 0.2 /\n", {"spin"}),
     "capture": (NET + TARGET + "&contact threshold = 2e-3 /\n&time end_time = 0.5 /\n",
                 {"position", "velocity", "spin", "impulses", "energy", "tension", "measures"}),
 }
