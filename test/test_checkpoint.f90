@@ -83,6 +83,9 @@ contains
     state%schedule%rows = 32
     state%schedule%verdicts = 33
     state%schedule%checkpoints = 34
+    state%schedule%frame_step = 35
+    state%schedule%row_step = 36
+    state%schedule%checkpoint_step = 37
     state%first_contact = 0.41_wp
     state%impulse_histogram = [(int(i, i8)**7, i=1, 100)]
     allocate (state%measures(2))
@@ -131,7 +134,7 @@ contains
     call expect(state_hash(back) == state_hash(state), 'the hash of the whole state')
     ! A new component of state_t changes this number: add it to exchange_state of
     ! castnet_checkpoint and to fill above, then correct the number here.
-    call expect_equal(storage_size(state)/8, 608, 'bytes of state_t (see the comment in the test)')
+    call expect_equal(storage_size(state)/8, 632, 'bytes of state_t (see the comment in the test)')
     state%tally%contact_iterations = 29
     call expect(state_hash(back) /= state_hash(state), 'another state, another hash')
     call clean()

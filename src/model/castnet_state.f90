@@ -57,12 +57,13 @@ module castnet_state
     integer :: contact_iterations = 0         !! most iterations of one event
   end type tally_t
 
-  !> How many of each output have been taken: due times follow from these.
+  !> How many of each output have been taken, and at which step the last one.
   type :: schedule_t
     integer(i8) :: frames = 0
     integer(i8) :: rows = 0
     integer(i8) :: verdicts = 0
     integer(i8) :: checkpoints = 0
+    integer(i8) :: frame_step = -1, row_step = -1, checkpoint_step = 0
   end type schedule_t
 
   type :: state_t

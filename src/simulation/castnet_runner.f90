@@ -1,26 +1,31 @@
 !> A run with its files: the loop of castnet_simulation, and whoever looks on.
 module castnet_runner
   use castnet_kinds, only: wp, i8
+  use castnet_checkpoint, only: write_checkpoint, read_checkpoint, checkpoint_path
   use castnet_diagnostics, only: cable_tensions
-  use castnet_error, only: error_t, fail, exit_stopped, exit_done
+  use castnet_error, only: error_t, fail, exit_stopped, exit_done, exit_file
   use castnet_model_builder, only: file_net_t
-  use castnet_posix, only: wall_seconds
+  use castnet_posix, only: wall_seconds, path_kind, path_nothing
   use castnet_record, only: summary_t
-  use castnet_run_writer, only: run_writer_t, run_info_t, open_run, write_frame, write_history, close_run, &
-                                status_complete, status_stopped, status_failed
+  use castnet_restart_check, only: check_same_scene
+  use castnet_run_writer, only: run_writer_t, run_info_t, open_run, reopen_run, write_frame, write_history, flush_run, &
+                                close_run, status_complete, status_stopped, status_failed
   use castnet_scene, only: scene_t
   use castnet_scene_net, only: load_scene_net
   use castnet_shape, only: tessellate
   use castnet_signals, only: install_signal_handlers, stop_request_code
   use castnet_simulation, only: simulation_t, due_t, start, run_to_next, is_finished, take_measures, take_row, &
                                 frame_taken, summarise
+  use castnet_state, only: state_t
   use castnet_surface, only: surface_t
+  use castnet_text, only: to_text
   implicit none
   private
-  public :: run_options_t, run_scene
+  public :: run_options_t, run_scene, prepare_scene
 
-  !> Steps between two looks at the signals and the clock.
-  integer, parameter :: look_interval = 64
+  !> Node-steps between two looks at the signals and the clock: some milliseconds at the
+  !> most, a single step of a large net.
+  integer, parameter :: node_steps_per_look = 20000
 
   !> What the command line says about a run.
   type :: run_options_t
@@ -37,6 +42,21 @@ module castnet_runner
 
 contains
 
+  !> Everything before the first step: the net's file, model, state, step. Touches no file
+  !> but reads. For `run` and `check` alike.
+  subroutine prepare_scene(scene, n_thread, sim, error, resumed)
+    type(scene_t), intent(in) :: scene
+    integer, intent(in) :: n_thread
+    type(simulation_t), intent(out) :: sim
+    type(error_t), allocatable, intent(inout) :: error
+    type(state_t), intent(in), optional :: resumed
+    type(file_net_t), allocatable :: file_net
+
+    call load_scene_net(scene, file_net, error)
+    if (allocated(error)) return
+    call start(sim, scene, n_thread, file_net, error, resumed)
+  end subroutine prepare_scene
+
   !> Run a scene to its end, or until something stops it. Errors carry the exit code.
   subroutine run_scene(scene, effective_text, options, sim, summary, error)
     type(scene_t), intent(in) :: scene
@@ -46,30 +66,44 @@ contains
     type(summary_t), intent(out) :: summary
     type(error_t), allocatable, intent(inout) :: error
     type(run_writer_t) :: writer
-    type(file_net_t), allocatable :: file_net
+    type(state_t), allocatable :: resumed
     type(due_t) :: due
-    character(len=:), allocatable :: status
-    real(wp) :: began
-    integer :: stop_code
+    character(len=:), allocatable :: status, before, warning
+    real(wp) :: began, next_wall
+    integer :: stop_code, look
 
     began = wall_seconds()
-    call load_scene_net(scene, file_net, error)
-    if (allocated(error)) return
-    call start(sim, scene, options%threads, file_net, error)
+    if (allocated(options%restart)) then
+      allocate (resumed)
+      call read_checkpoint(options%restart, resumed, before, warning, error)
+      if (allocated(error)) return
+      call check_same_scene(before, effective_text, options%restart, error)
+      if (allocated(error)) return
+    end if
+    call prepare_scene(scene, options%threads, sim, error, resumed)
     if (allocated(error)) return
     call open_writer(sim, scene, effective_text, options, writer, error)
     if (allocated(error)) return
     call install_signal_handlers()
 
+    look = 64
+    if (allocated(sim%model%net)) look = max(1, min(look, node_steps_per_look/max(1, sim%model%net%n_node)))
+    next_wall = huge(1.0_wp)
+    if (scene%output%checkpoint_wall_interval > 0.0_wp) next_wall = began + scene%output%checkpoint_wall_interval
     stop_code = exit_done
     do
-      call run_to_next(sim, due, error, look_interval)
+      call run_to_next(sim, due, error, look)
       if (allocated(error)) exit
       call observe(sim, due, writer, error)
       if (allocated(error) .or. is_finished(sim)) exit
       stop_code = stop_request_code()
       if (stop_code == exit_done .and. wall_seconds() - began > options%max_wall) stop_code = exit_stopped
-      if (stop_code /= exit_done) exit
+      if (due%checkpoint .or. stop_code /= exit_done .or. wall_seconds() > next_wall) then
+        call take_checkpoint(sim, writer, options%output, effective_text, error)
+        if (scene%output%checkpoint_wall_interval > 0.0_wp) &
+          next_wall = wall_seconds() + scene%output%checkpoint_wall_interval
+      end if
+      if (allocated(error) .or. stop_code /= exit_done) exit
     end do
 
     status = status_complete
@@ -77,9 +111,11 @@ contains
     if (allocated(error)) status = status_failed
     summary = summarise(sim, wall_seconds() - began)
     call close_run(writer, summary, status, error)
-    if (stop_code /= exit_done) call fail(error, stop_code, 'stopped at t = ')
+    if (stop_code /= exit_done) call fail(error, stop_code, 'stopped at t = '//to_text(sim%state%time)// &
+      ' s; go on with --restart '//checkpoint_path(options%output))
   end subroutine run_scene
 
+  !> A new output file, or the one that the checkpoint's run left.
   subroutine open_writer(sim, scene, effective_text, options, writer, error)
     type(simulation_t), intent(in) :: sim
     type(scene_t), intent(in) :: scene
@@ -99,8 +135,23 @@ contains
     info%flags = options%flags
     info%threads = options%threads
     info%vtk = scene%output%vtk
-    info%expected_frames = ceiling(sim%model%end_time/sim%frame_interval, i8) + 1
-    info%expected_rows = ceiling(sim%model%end_time/sim%history_interval, i8) + 1
+    info%step = sim%state%step
+    info%time = sim%state%time
+    info%schedule = sim%state%schedule
+    if (allocated(options%restart)) info%checkpoint = options%restart
+    info%expected_frames = info%schedule%frames &
+                           + ceiling((sim%model%end_time - sim%state%time)/sim%frame_interval, i8) + 1
+    info%expected_rows = info%schedule%rows &
+                         + ceiling((sim%model%end_time - sim%state%time)/sim%history_interval, i8) + 1
+    if (allocated(options%restart) .and. path_kind(options%output//'.part') /= path_nothing) then
+      call reopen_run(writer, options%output, sim%model, surface, info, error)
+      return
+    end if
+    if (path_kind(options%output) /= path_nothing .and. .not. options%force) then
+      call fail(error, exit_file, "the output '"//options%output// &
+                "' exists; give --force to replace it or --output for another place")
+      return
+    end if
     call open_run(writer, options%output, scene%text, effective_text, sim%model, surface, info, error)
   end subroutine open_writer
 
@@ -124,5 +175,17 @@ contains
     call write_frame(writer, sim%model, sim%state, tension, error)
     call frame_taken(sim)
   end subroutine observe
+
+  !> The file first, so that it is never behind the checkpoint.
+  subroutine take_checkpoint(sim, writer, output, effective_text, error)
+    type(simulation_t), intent(inout) :: sim
+    type(run_writer_t), intent(inout) :: writer
+    character(len=*), intent(in) :: output, effective_text
+    type(error_t), allocatable, intent(inout) :: error
+    call flush_run(writer, error)
+    sim%state%schedule%checkpoints = sim%state%schedule%checkpoints + 1
+    sim%state%schedule%checkpoint_step = sim%state%step
+    call write_checkpoint(output, sim%state, effective_text, error)
+  end subroutine take_checkpoint
 
 end module castnet_runner

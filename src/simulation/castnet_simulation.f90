@@ -33,6 +33,7 @@ module castnet_simulation
     type(thresholds_t) :: thresholds
     real(wp) :: frame_interval = 0.0_wp         !! [s]
     real(wp) :: history_interval = 0.0_wp       !! [s]
+    real(wp) :: checkpoint_interval = 0.0_wp    !! simulated [s], 0: none
     real(wp), allocatable :: verdict_times(:)   !! ascending [s]
     real(wp) :: energy_start = 0.0_wp           !! kinetic and elastic at t = 0 [J]
     integer(i8) :: last_step = 0                !! the first step at or after end_time
@@ -40,28 +41,40 @@ module castnet_simulation
 
   !> Which observations are due now.
   type :: due_t
-    logical :: frame = .false., row = .false., verdict = .false.
+    logical :: frame = .false., row = .false., verdict = .false., checkpoint = .false.
   end type due_t
 
 contains
 
   !> Set up a run at t = 0. Errors: those of `set_up`.
-  subroutine start(sim, scene, n_thread, file_net, error)
+  subroutine start(sim, scene, n_thread, file_net, error, resumed)
     type(simulation_t), intent(out) :: sim
     type(scene_t), intent(in) :: scene
     integer, intent(in) :: n_thread
     type(file_net_t), allocatable, intent(inout) :: file_net
     type(error_t), allocatable, intent(inout) :: error
+    type(state_t), intent(in), optional :: resumed !! go on from this state instead of t = 0
+    integer(i8) :: taken
 
     call set_up(scene, n_thread, file_net, sim%model, sim%state, sim%work, sim%report, error)
     if (allocated(error)) return
     ! At most one observation a step.
     sim%frame_interval = max(scene%output%frame_interval, sim%model%step)
     sim%history_interval = max(scene%output%history_interval, sim%model%step)
+    if (scene%output%checkpoint_interval > 0.0_wp) &
+      sim%checkpoint_interval = max(scene%output%checkpoint_interval, sim%model%step)
     sim%verdict_times = scene%output%verdict_times
     sim%energy_start = mechanical_energy(sim%model, sim%state)
     ! A node that starts within the threshold and approaches is in contact at once.
-    if (allocated(sim%model%contact)) call meet(sim%model, sim%state, sim%work, error)
+    if (allocated(sim%model%contact) .and. .not. present(resumed)) call meet(sim%model, sim%state, sim%work, error)
+    if (present(resumed)) then
+      taken = min(resumed%schedule%verdicts, size(sim%verdict_times, kind=i8))
+      sim%state = resumed
+      sim%state%schedule%verdicts = taken
+      deallocate (sim%state%measures)
+      allocate (sim%state%measures(size(sim%verdict_times)))
+      sim%state%measures(:taken) = resumed%measures(:taken)
+    end if
     sim%last_step = ceiling(sim%model%end_time/sim%model%step*(1.0_wp - 1.0e-12_wp), i8)
   end subroutine start
 
@@ -80,12 +93,12 @@ contains
     integer, intent(in), optional :: most_steps
     integer(i8) :: until
 
-    until = sim%last_step
-    until = min(until, step_at(sim, sim%state%schedule%frames*sim%frame_interval))
-    until = min(until, step_at(sim, sim%state%schedule%rows*sim%history_interval))
+    until = min(sim%last_step, next_due(sim, sim%frame_interval), next_due(sim, sim%history_interval))
+    if (sim%checkpoint_interval > 0.0_wp) until = min(until, next_due(sim, sim%checkpoint_interval))
     if (sim%state%schedule%verdicts < size(sim%verdict_times)) &
       until = min(until, step_at(sim, sim%verdict_times(sim%state%schedule%verdicts + 1)))
     if (present(most_steps)) until = min(until, sim%state%step + most_steps)
+    if (sim%state%schedule%frame_step < 0) until = sim%state%step    ! the start itself
 
     do while (sim%state%step < until)
       call advance(sim%model, sim%state, sim%work, error)
@@ -101,18 +114,43 @@ contains
     if (due%frame .or. due%verdict) call guard(sim, error)
   end subroutine run_to_next
 
-  !> What is due at the present step. The end is due for everything.
+  !> What is due at the present step and has not been taken. The end is due for everything
+  !> but a checkpoint.
   pure function what_is_due(sim) result(due)
     type(simulation_t), intent(in) :: sim
     type(due_t) :: due
-    associate (state => sim%state)
-      due%frame = state%step >= step_at(sim, state%schedule%frames*sim%frame_interval) .or. is_finished(sim)
-      due%row = state%step >= step_at(sim, state%schedule%rows*sim%history_interval) .or. is_finished(sim)
-      due%verdict = .false.
-      if (state%schedule%verdicts < size(sim%verdict_times)) due%verdict = &
-          state%step >= step_at(sim, sim%verdict_times(state%schedule%verdicts + 1)) .or. is_finished(sim)
+    associate (state => sim%state, schedule => sim%state%schedule)
+      due%frame = is_due(sim, sim%frame_interval) .and. schedule%frame_step < state%step
+      due%row = is_due(sim, sim%history_interval) .and. schedule%row_step < state%step
+      if (schedule%verdicts < size(sim%verdict_times)) due%verdict = is_finished(sim) .or. &
+          state%step >= step_at(sim, sim%verdict_times(schedule%verdicts + 1))
+      if (sim%checkpoint_interval > 0.0_wp) due%checkpoint = is_due(sim, sim%checkpoint_interval) .and. &
+          schedule%checkpoint_step < state%step .and. .not. is_finished(sim)
     end associate
   end function what_is_due
+
+  !> Is this step the first at or after a multiple of the interval, or the end?
+  pure logical function is_due(sim, interval)
+    type(simulation_t), intent(in) :: sim
+    real(wp), intent(in) :: interval !! at least a step [s]
+    integer(i8) :: k
+    k = nint(sim%state%time/interval, i8)
+    is_due = step_at(sim, k*interval) == sim%state%step .or. is_finished(sim)
+    if (k > 0) is_due = is_due .or. step_at(sim, (k - 1)*interval) == sim%state%step
+  end function is_due
+
+  !> The first step after this one at which a multiple of the interval is due.
+  pure integer(i8) function next_due(sim, interval) result(step)
+    type(simulation_t), intent(in) :: sim
+    real(wp), intent(in) :: interval !! at least a step [s]
+    integer(i8) :: k
+    k = max(0_i8, floor(sim%state%time/interval, i8) - 1)
+    step = step_at(sim, k*interval)
+    do while (step <= sim%state%step)
+      k = k + 1
+      step = step_at(sim, k*interval)
+    end do
+  end function next_due
 
   !> The first step at or after a time, to rounding.
   pure integer(i8) function step_at(sim, time)
@@ -141,17 +179,15 @@ contains
     type(history_row_t) :: row
     row = record_history(sim%model, sim%state)
     sim%state%tally = tally_t()
-    do while (step_at(sim, sim%state%schedule%rows*sim%history_interval) <= sim%state%step)
-      sim%state%schedule%rows = sim%state%schedule%rows + 1
-    end do
+    sim%state%schedule%rows = sim%state%schedule%rows + 1
+    sim%state%schedule%row_step = sim%state%step
   end function take_row
 
   !> A frame of now has been taken.
   subroutine frame_taken(sim)
     type(simulation_t), intent(inout) :: sim
-    do while (step_at(sim, sim%state%schedule%frames*sim%frame_interval) <= sim%state%step)
-      sim%state%schedule%frames = sim%state%schedule%frames + 1
-    end do
+    sim%state%schedule%frames = sim%state%schedule%frames + 1
+    sim%state%schedule%frame_step = sim%state%step
   end subroutine frame_taken
 
   !> What the whole run says.
