@@ -89,8 +89,7 @@ contains
     type(due_t) :: due
     real(wp) :: began
     integer(i8) :: steps
-    sim%state%schedule%frames = huge(0)       ! nothing falls due
-    sim%state%schedule%rows = huge(0)
+    sim%state%schedule%frame_step = 0       ! the start is taken
     sim%state%schedule%verdicts = size(sim%verdict_times)
     seconds = -1.0_wp
     steps = sim%state%step
