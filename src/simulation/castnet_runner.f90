@@ -144,7 +144,7 @@ contains
     info%expected_rows = info%schedule%rows &
                          + ceiling((sim%model%end_time - sim%state%time)/sim%history_interval, i8) + 1
     if (allocated(options%restart) .and. path_kind(options%output//'.part') /= path_nothing) then
-      call reopen_run(writer, options%output, sim%model, surface, info, error)
+      call reopen_run(writer, options%output, effective_text, sim%model, surface, info, error)
       return
     end if
     if (path_kind(options%output) /= path_nothing .and. .not. options%force) then
