@@ -18,6 +18,7 @@ program main
   use test_segment, only: run_test_segment
   use test_shape, only: run_test_shape
   use test_stable_step, only: run_test_stable_step
+  use test_study_file, only: run_test_study_file
   use test_text, only: run_test_text
   use testing, only: finish
   use verify_contact, only: run_verify_contact
@@ -42,6 +43,7 @@ program main
   call run_test_segment()
   call run_test_shape()
   call run_test_stable_step()
+  call run_test_study_file()
   call run_test_text()
   call run_verify_contact()
   call run_verify_environment()

@@ -7,12 +7,15 @@ module castnet_check_command
   use castnet_posix, only: wall_seconds
   use castnet_run_command, only: output_path
   use castnet_scene, only: scene_t
-  use castnet_scene_file, only: read_scene
+  use castnet_scene_file, only: read_scene_text
   use castnet_scene_net, only: load_scene_net
   use castnet_scene_text, only: effective_scene
   use castnet_simulation, only: simulation_t, due_t, start, run_to_next, is_finished
+  use castnet_study_file, only: read_study_text, effective_study, is_study_text
+  use castnet_study_request, only: study_request_t, grid_size
   use castnet_terminal, only: warn_lines, say, tell
-  use castnet_text, only: to_text, duration_text, text_t
+  use castnet_text, only: to_text, duration_text, path_beside
+  use castnet_text_file, only: read_text_file
   implicit none
   private
   public :: check_files
@@ -36,8 +39,14 @@ contains
     type(options_t), intent(in) :: options
     type(error_t), allocatable, intent(inout) :: error
     type(scene_t) :: scene
-    character(len=:), allocatable :: warnings, path
-    call read_scene(options%files(1)%chars, options%overrides, scene, warnings, error)
+    character(len=:), allocatable :: warnings, path, text
+    call read_text_file(options%files(1)%chars, text, error)
+    if (allocated(error)) return
+    if (is_study_text(text)) then
+      call check_study_file(text, options, error)
+      return
+    end if
+    call read_scene_text(text, options%files(1)%chars, options%overrides, scene, warnings, error)
     if (allocated(error)) return
     call warn_lines(warnings)
     call output_path(scene, options, path, error)
@@ -48,6 +57,47 @@ contains
     end if
     call check_run(scene, path, max(1, options%threads), error)
   end subroutine check_one
+
+  !> A study: its points and runs.
+  subroutine check_study_file(text, options, error)
+    character(len=*), intent(in) :: text
+    type(options_t), intent(in) :: options
+    type(error_t), allocatable, intent(inout) :: error
+    type(study_request_t) :: request
+    character(len=:), allocatable :: warnings
+    integer :: i
+    call read_study_text(text, options%files(1)%chars, options%overrides, request, warnings, error)
+    if (allocated(error)) return
+    call warn_lines(warnings)
+    if (options%effective) then
+      call say(effective_study(request))
+      return
+    end if
+    call say('study            '//request%path//': sound')
+    call say('scene            '//path_beside(request%path, trim(request%study%scene)))
+    call say('question         '//trim(request%study%question))
+    do i = 1, size(request%vary)
+      call say('varies           '//trim(request%vary(i)%key)//', '//to_text(grid_size(request%vary(i)))//' grid values')
+    end do
+    call say('runs             '//to_text(planned_runs(request)))
+    call say('output           '//path_beside(request%path, trim(request%study%file)))
+  end subroutine check_study_file
+
+  !> Runs of a map; for a search, the most that it may use.
+  function planned_runs(request) result(runs)
+    type(study_request_t), intent(in) :: request
+    integer(i8) :: runs
+    integer :: i
+    runs = request%study%seeds
+    if (request%sample%kind == 'grid') then
+      do i = 1, size(request%vary)
+        runs = runs*max(1, grid_size(request%vary(i)))
+      end do
+    else
+      runs = runs*max(1, request%sample%points)
+    end if
+    if (allocated(request%search) .and. request%study%question /= 'map') runs = request%search%budget
+  end function planned_runs
 
   !> Set the run up, try a few steps, and tell what it would be.
   subroutine check_run(scene, path, threads, error)
@@ -120,16 +170,32 @@ contains
     type(options_t), intent(in) :: options
     integer, intent(inout) :: refused
     type(scene_t) :: scene
+    type(study_request_t) :: request
     type(error_t), allocatable :: error
-    character(len=:), allocatable :: warnings
-    call read_scene(path, options%overrides, scene, warnings, error)
+    character(len=:), allocatable :: warnings, text
+    logical :: is_study
+    is_study = .false.
+    call read_text_file(path, text, error)
+    if (.not. allocated(error)) then
+      is_study = is_study_text(text)
+      if (is_study) then
+        call read_study_text(text, path, options%overrides, request, warnings, error)
+      else
+        call read_scene_text(text, path, options%overrides, scene, warnings, error)
+      end if
+    end if
     if (allocated(error)) then
       refused = refused + 1
       call say('=== '//path//': refused')
       call tell(error%message)
+      return
+    end if
+    call say('=== '//path//': accepted')
+    if (.not. options%effective) return
+    if (is_study) then
+      call say(effective_study(request))
     else
-      call say('=== '//path//': accepted')
-      if (options%effective) call say(effective_scene(scene))
+      call say(effective_scene(scene))
     end if
   end subroutine check_quickly
 

@@ -3,6 +3,8 @@ module castnet_reference
   use castnet_scene, only: scene_t
   use castnet_scene_text, only: full_table
   use castnet_schema, only: schema_t, entry_t
+  use castnet_study_request, only: study_request_t
+  use castnet_study_schema, only: study_table, vary_table
   implicit none
   private
   public :: reference_text, reference_markdown
@@ -15,6 +17,7 @@ contains
   function reference_text() result(text)
     character(len=:), allocatable :: text
     type(scene_t), target :: scene
+    type(study_request_t), target :: request
     type(schema_t) :: table, part
     integer :: i
     call full_table(scene, table, part)
@@ -24,7 +27,22 @@ contains
       text = text//group_reference(table, i)
       if (table%groups(i)%name == 'target') text = text//group_reference(part, 1)
     end do
+    text = text//nl//'Study files: which keys of a scene are varied, and what is asked.'//nl
+    call full_study_table(request, table, part)
+    do i = 1, table%n_group
+      text = text//group_reference(table, i)
+      if (table%groups(i)%name == 'study') text = text//group_reference(part, 1)
+    end do
   end function reference_text
+
+  !> The tables of every key of a study.
+  subroutine full_study_table(request, table, vary)
+    type(study_request_t), target, intent(inout) :: request
+    type(schema_t), intent(out) :: table, vary
+    allocate (request%vary(1), request%search)
+    call study_table(request, table)
+    call vary_table(request%vary(1), 0, vary)
+  end subroutine full_study_table
 
   function group_reference(table, group) result(text)
     type(schema_t), intent(in) :: table
@@ -73,6 +91,7 @@ contains
   function reference_markdown() result(text)
     character(len=:), allocatable :: text
     type(scene_t), target :: scene
+    type(study_request_t), target :: request
     type(schema_t) :: table, part
     integer :: i
     call full_table(scene, table, part)
@@ -85,6 +104,13 @@ contains
     do i = 1, table%n_group
       text = text//group_markdown(table, i)
       if (table%groups(i)%name == 'target') text = text//group_markdown(part, 1)
+    end do
+    text = text//nl//'# Study files'//nl//nl//'Which keys of a scene are varied, and what is asked. Paths are seen from the'//nl// &
+           'study''s folder.'//nl
+    call full_study_table(request, table, part)
+    do i = 1, table%n_group
+      text = text//group_markdown(table, i)
+      if (table%groups(i)%name == 'study') text = text//group_markdown(part, 1)
     end do
   end function reference_markdown
 

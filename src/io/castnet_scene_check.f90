@@ -7,7 +7,8 @@ module castnet_scene_check
   use castnet_problems, only: problem_list_t
   use castnet_scene, only: scene_t, is_set
   use castnet_scene_schema, only: scene_table, part_table
-  use castnet_schema, only: schema_t, entry_t
+  use castnet_schema, only: schema_t
+  use castnet_schema_fill, only: tell
   use castnet_text, only: to_text, byte_text, path_beside, name_of, without_extension, quoted
   use castnet_text_file, only: file_exists
   implicit none
@@ -461,33 +462,5 @@ contains
       if (.not. is_set(value)) value = default
     end subroutine give
   end subroutine resolve_scene
-
-  !> Tell about 'group/key' at the line where it was said, or where its group starts.
-  subroutine tell(list, path, table, last_line, group, key, text)
-    type(problem_list_t), intent(inout) :: list
-    character(len=*), intent(in) :: path, group, key, text
-    type(schema_t), intent(in) :: table
-    integer, intent(in) :: last_line
-    character(len=:), allocatable :: about
-    integer :: i
-    about = group
-    if (table%label > 0) about = group//'('//to_text(table%label)//')'
-    if (len(key) > 0) about = about//'/'//key
-    i = table%find(group, key)
-    if (i > 0) then
-      if (table%entries(i)%given) then
-        call list%add(table%entries(i)%path, table%entries(i)%line, about, text)
-        return
-      end if
-    end if
-    i = table%find_group(group)
-    if (i > 0) then
-      if (allocated(table%groups(i)%path)) then
-        call list%add(table%groups(i)%path, table%groups(i)%line, about, text)
-        return
-      end if
-    end if
-    call list%add(path, last_line, about, text)
-  end subroutine tell
 
 end module castnet_scene_check

@@ -32,6 +32,7 @@ module castnet_schema
     character(len=40) :: need = ''           !! '': optional; 'always', or the condition under which it is required
     character(len=40) :: use = ''            !! condition under which it has an effect; '': always
     character(len=56) :: fallback = ''       !! the default in words, when it is computed
+    character(len=40) :: noun = 'a path in quotes' !! what a text is
     character(len=128) :: initial = ''       !! the default as text
     character(len=160) :: help = ''
     real(wp), pointer :: real_0 => null(), real_1(:) => null()
@@ -227,14 +228,15 @@ contains
     call keep_initial(self%entries(self%n))
   end subroutine word_key
 
-  !> A path, or any other text (of a path's length).
-  subroutine path_key(self, key, place, help, need, use, fallback)
+  !> A path, or any other text (of a path's length): say what in `noun`.
+  subroutine path_key(self, key, place, help, need, use, fallback, noun)
     class(schema_t), intent(inout) :: self
     character(len=*), intent(in) :: key, help
     character(len=path_length), target, intent(inout) :: place
-    character(len=*), intent(in), optional :: need, use, fallback
+    character(len=*), intent(in), optional :: need, use, fallback, noun
     call new_entry(self, key, kind_path, '', help, need, use, fallback)
     self%entries(self%n)%path_0 => place
+    if (present(noun)) self%entries(self%n)%noun = noun
     call keep_initial(self%entries(self%n))
   end subroutine path_key
 
@@ -496,27 +498,28 @@ contains
         self%word_0 = word
       end if
     case (kind_path)
-      call check_path(value, problem)
+      call check_path(value, trim(self%noun), problem)
       if (.not. allocated(problem)) self%path_0 = value%text
     end select
   end subroutine set_scalar
 
-  subroutine check_path(value, problem)
+  subroutine check_path(value, noun, problem)
     type(value_t), intent(in) :: value
+    character(len=*), intent(in) :: noun
     character(len=:), allocatable, intent(inout) :: problem
     integer :: n, i
     n = len(value%text)
     if (.not. value%is_string) then
-      problem = 'seen '//value%text//' without quotes; allowed: a path in quotes'
+      problem = 'seen '//value%text//' without quotes; allowed: '//noun
     else if (n > path_length) then
-      problem = 'seen a path of '//to_text(n)//' bytes; allowed: at most '//to_text(path_length)
+      problem = 'seen a text of '//to_text(n)//' bytes; allowed: at most '//to_text(path_length)
     else if (.not. is_utf8(value%text)) then
-      problem = 'seen a path that is not UTF-8'
+      problem = 'seen a text that is not UTF-8'
     else if (n > 0) then
       if (value%text(n:n) == ' ' .or. value%text(1:1) == ' ') problem = 'seen '//quoted(value%text)// &
-        '; allowed: a path without a blank at either end'
+        '; allowed: '//noun//', without a blank at either end'
       do i = 1, n
-        if (iachar(value%text(i:i)) < 32 .or. iachar(value%text(i:i)) == 127) problem = 'seen a path with a control character'
+        if (iachar(value%text(i:i)) < 32 .or. iachar(value%text(i:i)) == 127) problem = 'seen a text with a control character'
       end do
     end if
   end subroutine check_path
@@ -614,7 +617,7 @@ contains
     case (kind_logical)
       text = '.true. or .false.'
     case (kind_path)
-      text = 'a path in quotes'
+      text = trim(self%noun)
     case (kind_words)
       text = 'numbers or words'
     case (kind_word)
@@ -692,7 +695,7 @@ contains
     end if
     if (self%kind == kind_words) then
       do i = 1, size(self%word_list)
-        text = text//', '//quoted(trim(self%word_list(i)))
+        text = text//', '//list_word(trim(self%word_list(i)))
       end do
       text = text(3:)
     else if (self%count == 0) then
@@ -719,6 +722,18 @@ contains
       text = quoted(trim(self%path_0))
     end if
   end function entry_text
+
+  !> A word of a list: numbers and logicals as they are, the rest in quotes.
+  pure function list_word(word) result(text)
+    character(len=*), intent(in) :: word
+    character(len=:), allocatable :: text, problem
+    real(wp) :: number
+    logical :: flag
+    text = word
+    call parse_real(word, number, problem)
+    if (allocated(problem)) call parse_logical(word, flag, problem)
+    if (allocated(problem)) text = quoted(word)
+  end function list_word
 
   pure function real_list_text(values) result(text)
     real(wp), intent(in) :: values(:)

@@ -7,7 +7,7 @@ module castnet_schema_fill
   use castnet_text, only: to_text, did_you_mean, is_one_of
   implicit none
   private
-  public :: fill_group, claim_group
+  public :: fill_group, claim_group, tell
 
 contains
 
@@ -112,5 +112,33 @@ contains
     end if
     text = text//' (allowed: '//table%keys_of(group)//')'
   end function suggestion
+
+  !> Tell about 'group/key' at the line where it was said, or where its group starts.
+  subroutine tell(list, path, table, last_line, group, key, text)
+    type(problem_list_t), intent(inout) :: list
+    character(len=*), intent(in) :: path, group, key, text
+    type(schema_t), intent(in) :: table
+    integer, intent(in) :: last_line
+    character(len=:), allocatable :: about
+    integer :: i
+    about = group
+    if (table%label > 0) about = group//'('//to_text(table%label)//')'
+    if (len(key) > 0) about = about//'/'//key
+    i = table%find(group, key)
+    if (i > 0) then
+      if (table%entries(i)%given) then
+        call list%add(table%entries(i)%path, table%entries(i)%line, about, text)
+        return
+      end if
+    end if
+    i = table%find_group(group)
+    if (i > 0) then
+      if (allocated(table%groups(i)%path)) then
+        call list%add(table%groups(i)%path, table%groups(i)%line, about, text)
+        return
+      end if
+    end if
+    call list%add(path, last_line, about, text)
+  end subroutine tell
 
 end module castnet_schema_fill
