@@ -160,6 +160,17 @@ def good(folder):
         expect(" ".join(arguments), done.returncode == 0 and words in done.stdout.decode() and done.stderr == b"",
                f"exit code {done.returncode}, {done.stdout[-300:]!r}, {done.stderr!r}")
     expect("nothing written", snapshot(folder) == before)
+    page = Path(__file__).resolve().parents[2] / "docs" / "scene_reference.md"
+    expect("docs/scene_reference.md is what castnet schema --markdown prints",
+           page.read_bytes() == run(folder, "schema", "--markdown").stdout)
+
+    # a study, and one that is not
+    (folder / "study.nml").write_text("&study scene = 'scene.nml' seeds = 3 /\n"
+                                      "&vary key = 'target/angular_velocity(2)' from = 0 to = 4 count = 9 /\n")
+    done = run(folder, "check", "study.nml")
+    expect("study", done.returncode == 0 and b"27" in done.stdout, done.stderr.decode())
+    (folder / "study.nml").write_text("&study scene = 'scene.nml' /\n&vary key = 'target/angular_velocty(2)' values = 1 /\n")
+    refuse("bad study", folder, ["check", "study.nml"], ["study.nml:2: vary(1)/key: ", "did you mean angular_velocity?"])
 
     # every style that namelist users write
     styles = "\ufeff! Net – test\r\n&NET\r\n\tSquares(1)=2,\r\n Squares(2) = 2 mesh_length=.5D0\r\n cable_diameter = 1.E-3 /! end\r\n&TIME end_time\r\n = 1\r\n/"
