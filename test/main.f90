@@ -21,6 +21,7 @@ program main
   use test_study_file, only: run_test_study_file
   use test_text, only: run_test_text
   use testing, only: finish
+  use verify_chain, only: run_verify_chain
   use verify_contact, only: run_verify_contact
   use verify_environment, only: run_verify_environment
   use verify_torque_free, only: run_verify_torque_free
@@ -45,6 +46,7 @@ program main
   call run_test_stable_step()
   call run_test_study_file()
   call run_test_text()
+  call run_verify_chain()
   call run_verify_contact()
   call run_verify_environment()
   call run_verify_torque_free()
