@@ -21,9 +21,12 @@ program main
   use test_study_file, only: run_test_study_file
   use test_text, only: run_test_text
   use testing, only: finish
+  use verify_catenary, only: run_verify_catenary
   use verify_chain, only: run_verify_chain
   use verify_contact, only: run_verify_contact
   use verify_environment, only: run_verify_environment
+  use verify_pulled_cable, only: run_verify_pulled_cable
+  use verify_snap, only: run_verify_snap
   use verify_torque_free, only: run_verify_torque_free
   implicit none
   call run_test_capture_measures()
@@ -46,9 +49,12 @@ program main
   call run_test_stable_step()
   call run_test_study_file()
   call run_test_text()
+  call run_verify_catenary()
   call run_verify_chain()
   call run_verify_contact()
   call run_verify_environment()
+  call run_verify_pulled_cable()
+  call run_verify_snap()
   call run_verify_torque_free()
   call finish()
 end program main
