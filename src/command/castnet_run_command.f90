@@ -2,15 +2,17 @@
 module castnet_run_command
   use castnet_command_line, only: options_t
   use castnet_error, only: error_t, fail, exit_input
-  use castnet_posix, only: is_terminal, same_file
+  use castnet_posix, only: same_file
   use castnet_record, only: summary_t
-  use castnet_runner, only: run_options_t, run_scene
-  use castnet_scene, only: scene_t
+  use castnet_log, only: log_t, new_log
+  use castnet_run_report, only: report_result, report_ledger, report_timings
+  use castnet_runner, only: run_options_t, run_ledger_t, run_scene
+  use castnet_scene, only: scene_t, path_length
   use castnet_scene_file, only: read_scene
   use castnet_scene_text, only: effective_scene
   use castnet_simulation, only: simulation_t
-  use castnet_terminal, only: warn_lines, say
-  use castnet_text, only: path_beside, to_text
+  use castnet_terminal, only: warn_lines
+  use castnet_text, only: path_beside, text_t
   use castnet_version, only: version_number, git_commit, compiler_name, compiler_flags
   implicit none
   private
@@ -26,6 +28,8 @@ contains
     type(run_options_t) :: run
     type(simulation_t) :: sim
     type(summary_t) :: summary
+    type(run_ledger_t) :: ledger
+    type(log_t) :: log
     character(len=:), allocatable :: warnings
     call read_scene(options%files(1)%chars, options%overrides, scene, warnings, error)
     if (allocated(error)) return
@@ -36,16 +40,44 @@ contains
     run%threads = max(1, options%threads)
     run%max_wall = options%max_wall
     run%force = options%force
-    run%quiet = options%quiet
-    run%progress = .not. (options%quiet .or. options%no_progress)
     run%timings = options%timings
     run%version = version_number//' '//git_commit()
     run%compiler = compiler_name()
     run%flags = compiler_flags()
-    call run_scene(scene, effective_scene(scene), run, sim, summary, error)
+    call input_files(scene, run%inputs)
+    call new_log(log, options%quiet, .not. options%no_progress)
+    call run_scene(scene, effective_scene(scene), run, log, sim, summary, ledger, error)
+    if (ledger%started) call report_ledger(log, sim, ledger)
+    if (options%timings) call report_timings(log, sim, summary)
     if (allocated(error)) return
-    call say(run%output)
+    call report_result(log, run%output, sim, summary)
   end subroutine run_file
+
+  !> Files that the run reads.
+  subroutine input_files(scene, inputs)
+    type(scene_t), intent(in) :: scene
+    type(text_t), allocatable, intent(out) :: inputs(:)
+    character(len=path_length) :: names(3)
+    integer :: i, n
+    n = 1
+    names(1) = scene%path
+    if (allocated(scene%net)) call add(scene%net%file)
+    if (allocated(scene%target)) call add(scene%target%file)
+    allocate (inputs(n))
+    do i = 1, n
+      inputs(i)%chars = trim(names(i))
+    end do
+
+  contains
+
+    subroutine add(file)
+      character(len=*), intent(in) :: file
+      if (len_trim(file) == 0) return
+      n = n + 1
+      names(n) = path_beside(scene%path, trim(file))
+    end subroutine add
+
+  end subroutine input_files
 
   !> --output wins over the scene; the scene's own path is seen from the scene's folder.
   subroutine output_path(scene, options, path, error)

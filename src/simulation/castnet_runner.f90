@@ -5,8 +5,11 @@ module castnet_runner
   use castnet_diagnostics, only: cable_tensions
   use castnet_error, only: error_t, fail, exit_stopped, exit_done, exit_file
   use castnet_model_builder, only: file_net_t
-  use castnet_posix, only: wall_seconds, path_kind, path_nothing
-  use castnet_record, only: summary_t
+  use castnet_lock, only: lock_t, take_lock, release_lock
+  use castnet_log, only: log_t, log_note, log_warning, log_progress, end_progress
+  use castnet_output_files, only: check_output, can_continue, stage_part, clear_leftovers
+  use castnet_posix, only: wall_seconds
+  use castnet_record, only: summary_t, history_row_t
   use castnet_restart_check, only: check_same_scene
   use castnet_run_writer, only: run_writer_t, run_info_t, open_run, reopen_run, write_frame, write_history, flush_run, &
                                 close_run, status_complete, status_stopped, status_failed
@@ -18,10 +21,10 @@ module castnet_runner
                                 frame_taken, summarise
   use castnet_state, only: state_t
   use castnet_surface, only: surface_t
-  use castnet_text, only: to_text
+  use castnet_text, only: to_text, text_t
   implicit none
   private
-  public :: run_options_t, run_scene, prepare_scene
+  public :: run_options_t, run_ledger_t, run_scene, prepare_scene
 
   !> Node-steps between two looks at the signals and the clock: some milliseconds at the
   !> most, a single step of a large net.
@@ -34,11 +37,21 @@ module castnet_runner
     integer :: threads = 1
     real(wp) :: max_wall = huge(1.0_wp)         !! [s]
     logical :: force = .false.                  !! replace an existing OUTPUT
-    logical :: quiet = .false.
-    logical :: progress = .true.
-    logical :: timings = .false.
+    logical :: timings = .false.                !! measure the stages of a step
+    type(text_t), allocatable :: inputs(:)      !! files that the run reads, never overwritten
     character(len=:), allocatable :: version, compiler, flags
   end type run_options_t
+
+  !> What a run's history says in one look, for the run log.
+  type :: run_ledger_t
+    type(history_row_t) :: first, last
+    real(wp) :: largest_rise = 0.0_wp         !! of energy less the works done on it, between two rows [J]
+    real(wp) :: min_impulse = 0.0_wp          !! [N s]
+    real(wp) :: deepest_penetration = 0.0_wp  !! [m]
+    real(wp) :: contact_residual = 0.0_wp     !! [m/s]
+    real(wp) :: max_tension = 0.0_wp          !! [N]
+    logical :: started = .false.
+  end type run_ledger_t
 
 contains
 
@@ -57,44 +70,74 @@ contains
     call start(sim, scene, n_thread, file_net, error, resumed)
   end subroutine prepare_scene
 
-  !> Run a scene to its end, or until something stops it. Errors carry the exit code.
-  subroutine run_scene(scene, effective_text, options, sim, summary, error)
+  !> Run a scene to its end, or until something stops it. Errors carry the exit code; what
+  !> was written before stays.
+  subroutine run_scene(scene, effective_text, options, log, sim, summary, ledger, error)
     type(scene_t), intent(in) :: scene
     character(len=*), intent(in) :: effective_text  !! the scene with every default
     type(run_options_t), intent(in) :: options
+    type(log_t), intent(inout) :: log
     type(simulation_t), intent(out) :: sim
     type(summary_t), intent(out) :: summary
+    type(run_ledger_t), intent(out) :: ledger
     type(error_t), allocatable, intent(inout) :: error
-    type(run_writer_t) :: writer
     type(state_t), allocatable :: resumed
-    type(due_t) :: due
-    character(len=:), allocatable :: status, before, warning
-    real(wp) :: began, next_wall
-    integer :: stop_code, look
+    type(lock_t) :: lock
+    character(len=:), allocatable :: before, warning
 
-    began = wall_seconds()
+    call check_output(options%output, options%inputs, options%force, allocated(options%restart), error)
+    if (allocated(error)) return
     if (allocated(options%restart)) then
       allocate (resumed)
       call read_checkpoint(options%restart, resumed, before, warning, error)
       if (allocated(error)) return
+      if (allocated(warning)) call log_warning(log, warning)
       call check_same_scene(before, effective_text, options%restart, error)
       if (allocated(error)) return
     end if
     call prepare_scene(scene, options%threads, sim, error, resumed)
     if (allocated(error)) return
-    call open_writer(sim, scene, effective_text, options, writer, error)
+    if (sim%report%unstable) call log_warning(log, 'time/step: '//to_text(sim%report%step)// &
+      ' s is above the stability limit, '//to_text(sim%report%stable_limit)//' s; the scene allows it')
+    call log_note(log, 'step '//to_text(sim%model%step)//' s, '//sim%report%reason)
+    call take_lock(lock, options%output, error)
     if (allocated(error)) return
     call install_signal_handlers()
+    call run_locked(scene, effective_text, options, log, sim, summary, ledger, error)
+    call release_lock(lock)
+  end subroutine run_scene
 
+  !> The run proper, with its files to itself.
+  subroutine run_locked(scene, effective_text, options, log, sim, summary, ledger, error)
+    type(scene_t), intent(in) :: scene
+    character(len=*), intent(in) :: effective_text
+    type(run_options_t), intent(in) :: options
+    type(log_t), intent(inout) :: log
+    type(simulation_t), intent(inout) :: sim
+    type(summary_t), intent(inout) :: summary
+    type(run_ledger_t), intent(inout) :: ledger
+    type(error_t), allocatable, intent(inout) :: error
+    type(run_writer_t) :: writer
+    type(due_t) :: due
+    character(len=:), allocatable :: status
+    real(wp) :: began, next_wall
+    integer :: stop_code, look
+
+    began = wall_seconds()
+    call open_writer(sim, scene, effective_text, options, writer, error)
+    if (allocated(error)) return
     look = 64
     if (allocated(sim%model%net)) look = max(1, min(look, node_steps_per_look/max(1, sim%model%net%n_node)))
+    sim%work%timings%wanted = options%timings
     next_wall = huge(1.0_wp)
     if (scene%output%checkpoint_wall_interval > 0.0_wp) next_wall = began + scene%output%checkpoint_wall_interval
     stop_code = exit_done
     do
       call run_to_next(sim, due, error, look)
       if (allocated(error)) exit
-      call observe(sim, due, writer, error)
+      call observe(sim, due, writer, ledger, error)
+      if (due%row) call log_progress(log, sim%state%time/sim%model%end_time, &
+                                     't = '//to_text(sim%state%time)//' s of '//to_text(sim%model%end_time)//' s')
       if (allocated(error) .or. is_finished(sim)) exit
       stop_code = stop_request_code()
       if (stop_code == exit_done .and. wall_seconds() - began > options%max_wall) stop_code = exit_stopped
@@ -105,6 +148,7 @@ contains
       end if
       if (allocated(error) .or. stop_code /= exit_done) exit
     end do
+    call end_progress(log)
 
     status = status_complete
     if (stop_code /= exit_done) status = status_stopped
@@ -113,7 +157,7 @@ contains
     call close_run(writer, summary, status, error)
     if (stop_code /= exit_done) call fail(error, stop_code, 'stopped at t = '//to_text(sim%state%time)// &
       ' s; go on with --restart '//checkpoint_path(options%output))
-  end subroutine run_scene
+  end subroutine run_locked
 
   !> A new output file, or the one that the checkpoint's run left.
   subroutine open_writer(sim, scene, effective_text, options, writer, error)
@@ -143,28 +187,34 @@ contains
                            + ceiling((sim%model%end_time - sim%state%time)/sim%frame_interval, i8) + 1
     info%expected_rows = info%schedule%rows &
                          + ceiling((sim%model%end_time - sim%state%time)/sim%history_interval, i8) + 1
-    if (allocated(options%restart) .and. path_kind(options%output//'.part') /= path_nothing) then
-      call reopen_run(writer, options%output, effective_text, sim%model, surface, info, error)
-      return
-    end if
-    if (path_kind(options%output) /= path_nothing .and. .not. options%force) then
-      call fail(error, exit_file, "the output '"//options%output// &
-                "' exists; give --force to replace it or --output for another place")
-      return
+    if (allocated(options%restart)) then
+      if (can_continue(options%output)) then
+        call stage_part(options%output, error)
+        call reopen_run(writer, options%output, effective_text, sim%model, surface, info, error)
+        return
+      end if
+    else
+      call clear_leftovers(options%output)
     end if
     call open_run(writer, options%output, scene%text, effective_text, sim%model, surface, info, error)
   end subroutine open_writer
 
   !> Everything that is due at this step.
-  subroutine observe(sim, due, writer, error)
+  subroutine observe(sim, due, writer, ledger, error)
     type(simulation_t), intent(inout) :: sim
     type(due_t), intent(in) :: due
     type(run_writer_t), intent(inout) :: writer
+    type(run_ledger_t), intent(inout) :: ledger
     type(error_t), allocatable, intent(inout) :: error
+    type(history_row_t) :: row
     real(wp), allocatable :: tension(:)
 
     if (due%verdict) call take_measures(sim)
-    if (due%row) call write_history(writer, take_row(sim), error)
+    if (due%row) then
+      row = take_row(sim)
+      call enter(ledger, row)
+      call write_history(writer, row, error)
+    end if
     if (.not. due%frame) return
     if (allocated(sim%model%net)) then
       allocate (tension(sim%model%net%n_cable))
@@ -175,6 +225,29 @@ contains
     call write_frame(writer, sim%model, sim%state, tension, error)
     call frame_taken(sim)
   end subroutine observe
+
+  subroutine enter(ledger, row)
+    type(run_ledger_t), intent(inout) :: ledger
+    type(history_row_t), intent(in) :: row
+    if (.not. ledger%started) then
+      ledger%first = row
+    else
+      ledger%largest_rise = max(ledger%largest_rise, own_energy(row) - own_energy(ledger%last))
+    end if
+    ledger%started = .true.
+    ledger%last = row
+    ledger%min_impulse = min(ledger%min_impulse, row%min_impulse)
+    ledger%deepest_penetration = max(ledger%deepest_penetration, row%deepest_penetration)
+    ledger%contact_residual = max(ledger%contact_residual, row%contact_residual)
+    ledger%max_tension = max(ledger%max_tension, row%max_tension)
+  end subroutine enter
+
+  !> Energy less all work done on it: what never rises [J].
+  pure real(wp) function own_energy(row)
+    type(history_row_t), intent(in) :: row
+    own_energy = row%kinetic_net + row%kinetic_target + row%elastic &
+                 - row%winch_work - row%projection_work - row%external_work
+  end function own_energy
 
   !> The file first, so that it is never behind the checkpoint.
   subroutine take_checkpoint(sim, writer, output, effective_text, error)

@@ -1,7 +1,7 @@
 !> One step of the paper's flowchart (Fig. 3): move net and target, find contacts,
 !> apply their impulses, run the closing thread.
 module castnet_stepper
-  use castnet_kinds, only: wp
+  use castnet_kinds, only: wp, i8
   use castnet_error, only: error_t
   use castnet_contact_event, only: contact_work_t, new_contact_work, handle_contacts
   use castnet_external_work, only: has_net_field, has_external_potential, external_potential
@@ -10,15 +10,23 @@ module castnet_stepper
   use castnet_state, only: state_t
   implicit none
   private
-  public :: work_t, new_work, advance, meet, settle
+  public :: work_t, timings_t, new_work, advance, meet, settle
 
   !> Nodes from which threads inside one run pay (docs/performance.md).
   integer, parameter :: nodes_worth_threads = 4096
+
+  !> Time spent in the stages of a step, where it is wanted.
+  type :: timings_t
+    logical :: wanted = .false.
+    integer(i8) :: flow = 0      !! ticks of the system clock: forces and integration
+    integer(i8) :: contact = 0   !! detection, impulses, projection
+  end type timings_t
 
   !> All scratch of a run, allocated once.
   type :: work_t
     type(flow_work_t) :: flow
     type(contact_work_t) :: contact
+    type(timings_t) :: timings
     logical :: has_potential = .false.             !! something outside does work
     logical :: has_field = .false.                 !! and it needs the nodes' positions
     real(wp), allocatable :: velocity_before(:, :) !! (n_pad,3) before the impulses, method 'midpoint' with contact only [m/s]
@@ -50,7 +58,9 @@ contains
     type(work_t), intent(inout) :: work
     type(error_t), allocatable, intent(inout) :: error
     real(wp) :: potential
+    integer(i8) :: began, moved, met
 
+    if (work%timings%wanted) call system_clock(began)
     potential = 0.0_wp
     if (work%has_potential) potential = external_potential(model, state)
     if (model%method == method_midpoint) then
@@ -64,7 +74,12 @@ contains
     end if
     state%step = state%step + 1
     state%time = real(state%step, wp)*model%step
+    if (work%timings%wanted) call system_clock(moved)
     if (allocated(model%contact)) call meet(model, state, work, error)
+    if (.not. work%timings%wanted) return
+    call system_clock(met)
+    work%timings%flow = work%timings%flow + (moved - began)
+    work%timings%contact = work%timings%contact + (met - moved)
   end subroutine advance
 
   !> Contact between net and target at this instant. Nearly all of a flight it returns at
