@@ -23,7 +23,7 @@ from castnet_reader import Run
 from castnet_runner import ROOT, Job, find_castnet, run_all
 from paper_figures import FIGURES, mouth_area
 
-AGREES, DIFFERS, UNCHECKED = "agrees", "**differs**", "cannot be checked"
+AGREES, MOSTLY, DIFFERS, UNCHECKED = "agrees", "agrees mostly", "**differs**", "cannot be checked"
 NUDGE = "1e-6"
 
 #: Ensembles: name -> (scene, settings beyond the nudge).
@@ -117,20 +117,30 @@ def verdicts(runs) -> str:
     return words
 
 
+def most(share: float) -> str:
+    """The word for a claim that holds in this share of the runs."""
+    return AGREES if share >= 0.9 else MOSTLY if share >= 0.5 else DIFFERS
+
+
 def caught_row(e, name, claim, paper, remark="") -> Row:
-    """Agrees: captured in at least nine tenths of the runs."""
     runs = e[name]
-    return Row(claim, paper, verdicts(runs), AGREES if caught(runs) >= 0.9 * len(runs) else DIFFERS, name, remark)
+    return Row(claim, paper, verdicts(runs), most(caught(runs) / len(runs)), name, remark)
 
 
 def lost_row(e, name, claim, paper, remark="") -> Row:
-    """Agrees: not captured in at least half of the runs."""
     runs = e[name]
-    return Row(claim, paper, verdicts(runs), AGREES if caught(runs) <= 0.5 * len(runs) else DIFFERS, name, remark)
+    return Row(claim, paper, verdicts(runs), most(1 - caught(runs) / len(runs)), name, remark)
 
 
-def final_speed(run: Run) -> float:
-    return float(np.linalg.norm(run.data["target_velocity"].values[-1]))
+def speed_at(run: Run, time: float) -> float:
+    """Speed of the target [m/s]."""
+    return float(np.linalg.norm(run.data["target_velocity"].values[run.frame(time)]))
+
+
+def spin_change(run: Run, time: float) -> float:
+    """Change of the target's rate of rotation since the start [rad/s]."""
+    rate = np.linalg.norm(run.data["target_angular_velocity"].values[[0, run.frame(time)]], axis=1)
+    return float(abs(rate[1] - rate[0]))
 
 
 def net_mass(run: Run) -> float:
@@ -201,7 +211,8 @@ def parabolic_rows(e) -> list[Row]:
         Row("first contact with the mock-up", "marked in Fig. 6 without a number; expected about 1.2 s", spread(touch, 4, "s"), within(touch, 1.1, 1.3), "parabolic"),
         Row("the missing link causes the largest differences", "said of bullets 2 and 3, not measured",
             f"bullets with and without link apart by {spread(linked, 2, 'cm', 100)}; two runs a micrometre apart at the start by {spread(noise, 2, 'cm', 100)}",
-            UNCHECKED, "parabolic_link", "mean over axes and time after first contact; to be read beside the paper's 9 cm"),
+            UNCHECKED, "parabolic_link", "mean over axes and time after first contact; to be read beside the paper's 9 cm. With contact at the nodes "
+            "alone few nodes meet a 10 mm rod"),
         Row("restitution 1 is a fair choice", "argued from the mass ratio",
             f"bullets at restitution 1 and 0.1 apart by {spread(softer, 2, 'cm', 100)}", UNCHECKED, "parabolic_soft", "also beside the paper's 9 cm"),
     ]
@@ -221,7 +232,7 @@ def cubesat_rows(e) -> list[Row]:
     spinning = ["cubesat_0", "cubesat_0.5", "cubesat_1", "cubesat_1.5", "cubesat_2"]
     every = [run for name in spinning for run in e[name]]
     touch = [run.first_contact for run in every]
-    speed = [final_speed(run) for run in every]
+    speed = [speed_at(run, 3.0) for run in every]
     below = [float(np.squeeze(run.summary["impulse_percentiles"])[2]) for run in every]
     largest = [float(run.history["max_impulse"].max()) for run in every]
     first = {name: [first_impulse(run) for run in e[name]] for name in spinning}
@@ -230,7 +241,7 @@ def cubesat_rows(e) -> list[Row]:
     other = [np.linalg.norm(run.data["target_angular_velocity"].values[-1, [0, 2]]) for run in e["cubesat_1"]]
     rows += [
         Row("first contact", "not in numbers; expected 1.00 to 1.12 s", spread(touch, 4, "s"), within(touch, 1.0, 1.12), "cubesat_0 to cubesat_2"),
-        Row("speed of the cubesat afterwards", "below 0.1 m/s (Fig. 10); expected 0.03 to 0.105", spread(speed, 3, "m/s"), within(speed, 0.03, 0.105), "cubesat_0 to cubesat_2"),
+        Row("speed of the cubesat at 3 s", "below 0.1 m/s (Fig. 10); expected 0.03 to 0.105", spread(speed, 3, "m/s"), within(speed, 0.03, 0.105), "cubesat_0 to cubesat_2"),
         Row("largest impulse of a contact", "within 3e-4 N s (Fig. 11)",
             f"99 % of node impulses below {spread(below, 2, 'N s')}; largest {spread(largest, 2, 'N s')}",
             AGREES if max(largest) <= 3e-4 else DIFFERS, "cubesat_0 to cubesat_2",
@@ -254,13 +265,12 @@ def rocket_rows(e) -> list[Row]:
                          "our case A; the paper judges by eye"))
     free = [run for name in ("rocket_x_0.1", "rocket_x_0.4", "rocket_x_0.7", "rocket_z_0.1", "rocket_z_0.4", "rocket_z_0.7") for run in e[name]]
     touch = [run.first_contact for run in free]
-    speed = [1000 * final_speed(run) for run in free]
-    change = [float(np.abs(np.linalg.norm(run.data["target_angular_velocity"].values[-1])
-                           - np.linalg.norm(run.data["target_angular_velocity"].values[0]))) for run in free]
+    speed = [1000 * speed_at(run, 10.0) for run in free]
+    change = [spin_change(run, 10.0) for run in free]
     rows += [
         Row("first contact", "not in numbers; expected 5.4 to 6.1 s", spread(touch, 3, "s"), within(touch, 5.4, 6.1), "rocket_x and rocket_z"),
-        Row("speed of the stage afterwards", "not given; expected 2.5 to 6.5 mm/s", spread(speed, 3, "mm/s"), within(speed, 2.5, 6.5), "rocket_x and rocket_z"),
-        Row("a free net does not stop the tumbling", "said of the cubesat; expected a change below 5e-3 rad/s", spread(change, 2, "rad/s"),
+        Row("speed of the stage at 10 s", "not given; expected 2.5 to 6.5 mm/s", spread(speed, 3, "mm/s"), within(speed, 2.5, 6.5), "rocket_x and rocket_z"),
+        Row("a free net does not stop the tumbling", "said of the cubesat; expected a change below 5e-3 rad/s at 10 s", spread(change, 2, "rad/s"),
             within(change, 0, 5e-3), "rocket_x and rocket_z"),
         caught_row(e, "closing_x", "closing holds 1.1 rad/s end over end", "yes (Fig. 16)", "the paper gives no numbers for its winches; ours are in the scene"),
         caught_row(e, "closing_z", "closing holds 1.1 rad/s like a propeller", "yes (Fig. 17)"),
@@ -283,8 +293,8 @@ Every result of the paper (Shan, Guo, Gill, *Contact dynamics on net capturing o
 A tension-only net is chaotic, so each of our numbers is the median and, in brackets, the range of an ensemble of {seeds} runs
 whose nodes start {nudge} m (standard deviation of each coordinate) from the scene's. *Captured* means: at the first
 verdict time coverage >= 0.9, largest hole <= 30 degrees and no direction of escape; at later ones coverage >= 0.8 and no escape.
-A claim that something is caught agrees when at least nine tenths of the ensemble are captured; that something is lost, when at
-most half are. Where the paper gives no number, the expectation is that of an independent throw-away model, and it is called
+A claim that something is caught (or is not) *agrees* when at least nine tenths of the ensemble do so, *mostly* when at least
+half do. Where the paper gives no number, the expectation is that of an independent throw-away model, and it is called
 *expected*. The paper judges captures by eye, one run each.
 
 The paper names tumbling axes but no attitudes. A: long axis across the approach, spin about the approach; B: long axis across, end over end;
@@ -325,12 +335,12 @@ def page(e: Ensembles, version: str, lost: set[str], figures: list[str]) -> str:
             words.append(row.word)
             text.append(f"| {row.claim} | {row.paper} | {row.ours} | {row.word} | {row.scene} | {row.remark} |")
         text.append("")
-    count = {word: words.count(word) for word in (AGREES, DIFFERS, UNCHECKED)}
-    text.insert(1, f"Of {len(words)} claims {count[AGREES]} agree, {count[DIFFERS]} differ, {count[UNCHECKED]} cannot be checked.\n")
+    count = {word: words.count(word) for word in (AGREES, MOSTLY, DIFFERS, UNCHECKED)}
+    text.insert(1, f"Of {len(words)} claims {count[AGREES]} agree, {count[MOSTLY]} agree mostly, {count[DIFFERS]} differ, {count[UNCHECKED]} cannot be checked.\n")
     text.append("## The runs\n\nEach line is repeated with seeds K = 1 to "
                 f"{e.seeds}. `tools/validation_page.py` runs them all, two at a time.\n\n| runs | command |\n|---|---|")
     text += [f"| {name} | `{command(name)}` |" for name in ENSEMBLES]
-    text.append("\n## Figures\n\nBy `tools/paper_figures.py`, numbered as in the paper; one unperturbed run each.\n")
+    text.append("\n## Figures\n\nBy `tools/paper_figures.py`, numbered as in the paper; one run each, with seed 1.\n")
     text += [f"![{FIGURE_WORDS[name]}](figures/{file_name(name)})\n" for name in figures]
     return "\n".join(text)
 
@@ -347,6 +357,13 @@ def shrink(source: Path, target: Path) -> None:
     if picture.width > 1100:
         picture = picture.resize((1100, round(picture.height * 1100 / picture.width)), Image.Resampling.LANCZOS)
     picture.quantize(96, dither=Image.Dither.NONE).save(target, optimize=True)
+
+
+def version_of(castnet: str) -> str:
+    """Version, commit, compiler in a few words."""
+    words = subprocess.run([castnet, "version"], capture_output=True, text=True, check=False).stdout.splitlines()
+    told = [" ".join(line.split()) for line in words if line.startswith(("castnet", "commit", "compiler"))]
+    return ", ".join(told).removeprefix("castnet ").replace("compiler ", "")
 
 
 def main() -> int:
@@ -375,8 +392,7 @@ def main() -> int:
             if (drawn / file_name(name)).is_file():
                 shrink(drawn / file_name(name), figures / file_name(name))
     here = [name for name in FIGURES if (figures / file_name(name)).is_file()]
-    version = subprocess.run([castnet, "version"], capture_output=True, text=True, check=False).stdout.strip().splitlines()
-    text = page(Ensembles(arguments.folder, arguments.seeds, failed), version[0] if version else "", lost, here)
+    text = page(Ensembles(arguments.folder, arguments.seeds, failed), version_of(castnet), lost, here)
     arguments.page.write_text(text, encoding="utf-8")
     print(arguments.page)
     return 1 if lost else 0
