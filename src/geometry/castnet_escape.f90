@@ -6,13 +6,16 @@
 !> centre of every mesh square, and the outermost points of the body all around, so what
 !> overlaps by less than about half a mesh at the rim of both can be missed.
 !>
+!> To be stopped the body must run into the surface: a part of the body that faces less than
+!> ten degrees against the motion slides along what it meets. Without this a net that
+!> clings to the sides of one end would seem to hold the body in every direction.
+!>
 !> A net that lies on a body cuts its edges: between two nodes on neighbouring faces the
 !> square runs inside. A point inside the body counts as lying on the nearest part of its
-!> surface: it blocks the half space that this faces, and lets the body slide along it. For
-!> the same reason the way ahead starts a little inside the body.
+!> surface. For the same reason the way ahead starts a little inside the body.
 module castnet_escape
   use castnet_kinds, only: wp
-  use castnet_ray, only: any_ray_meets
+  use castnet_ray, only: ray_lengths, misses
   use castnet_shape, only: shape_t, signed_distance, shape_bounding_radius, shape_bounds, surface_samples
   implicit none
   private
@@ -21,6 +24,8 @@ module castnet_escape
   integer, parameter :: per_square = 9   !! points of a mesh square: 4 corners, 4 middles of sides, its centre
   integer, parameter :: most_starts = 64 !! points of the body
   real(wp), parameter :: inset = 0.05_wp !! of the way from such a point to the body's middle, where its ray starts
+
+  real(wp), parameter :: glancing = 0.173648177666930349_wp !! sine of the angle up to which the body slides along
 
   !> The surface and the body, ready to be asked direction by direction.
   type :: scene_t
@@ -145,15 +150,38 @@ contains
     do i = 1, size(near)
       do k = per_square*(near(i) - 1) + 1, per_square*near(i)
         if (scene%distance(k) <= 0.0_wp) then
-          if (scene%normal(1, k)*d(1) + scene%normal(2, k)*d(2) + scene%normal(3, k)*d(3) > 0.0_wp) return
+          if (scene%normal(1, k)*d(1) + scene%normal(2, k)*d(2) + scene%normal(3, k)*d(3) > glancing) return
           cycle
         end if
         n = n + 1
         ahead(:, n) = scene%point(:, k)
       end do
     end do
-    blocked = any_ray_meets(shape, n, ahead(:, :n), -d)
+    call runs_into(shape, n, ahead(:, :n), d, blocked)
   end subroutine points_in_the_way
+
+  !> Does the body, moving along d, run into one of these points?
+  pure subroutine runs_into(shape, n, point, d, blocked)
+    type(shape_t), intent(in) :: shape
+    integer, intent(in) :: n
+    real(wp), intent(in) :: point(3, n), d(3)
+    logical, intent(out) :: blocked
+    real(wp) :: length(n), met(3, n), distance(n), normal(3, n)
+    integer :: i, m
+    call ray_lengths(shape, n, point, -d, length)
+    m = 0
+    do i = 1, n
+      if (length(i) >= misses) cycle
+      m = m + 1
+      met(:, m) = point(:, i) - length(i)*d
+    end do
+    call signed_distance(shape, m, met(:, :m), distance(:m), normal(:, :m))
+    blocked = .true.
+    do i = 1, m
+      if (normal(1, i)*d(1) + normal(2, i)*d(2) + normal(3, i)*d(3) > glancing) return
+    end do
+    blocked = .false.
+  end subroutine runs_into
 
   !> Does the way ahead of a point on the body's front meet one of these squares? All seen
   !> along d: points and squares in the plane across it, heights along it.
@@ -196,7 +224,7 @@ contains
     end function seen
   end function squares_in_the_way
 
-  !> Points that a small step along d takes out of the body.
+  !> Points that face the motion: a small step along d takes them out of the body.
   pure subroutine on_the_front(shape, rim, radius, d, front)
     type(shape_t), intent(in) :: shape
     real(wp), intent(in) :: rim(:, :), radius, d(3)
@@ -207,7 +235,7 @@ contains
       moved(:, k) = rim(:, k) + 1.0e-4_wp*radius*d
     end do
     call signed_distance(shape, size(rim, 2), moved, distance, normal)
-    front = distance > 0.0_wp
+    front = distance > glancing*1.0e-4_wp*radius
   end subroutine on_the_front
 
   !> Is the triangle above the point? Sides count as inside.

@@ -135,7 +135,7 @@ contains
   end function capture_quality_index
 
   !> Coverage, largest hole and escape over 1500 directions. A direction in which a ray from
-  !> the centre of mass meets the net is blocked at once.
+  !> the centre of mass meets the net is blocked at once; castnet_escape judges the others.
   pure subroutine measure_sky(shape, faces, seen, measures)
     type(shape_t), intent(in) :: shape
     integer, intent(in) :: faces(:, :)
