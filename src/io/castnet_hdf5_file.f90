@@ -9,7 +9,7 @@
 !> its clean-up at exit is switched off; a file is complete when `close_file` says so, and
 !> otherwise stays as its last flush left it.
 module castnet_hdf5_file
-  use, intrinsic :: iso_c_binding, only: c_loc, c_ptr, c_null_char
+  use, intrinsic :: iso_c_binding, only: c_loc, c_ptr, c_int, c_null_char
   use hdf5, only: hid_t, hsize_t, size_t, h5open_f, h5dont_atexit_f, h5eset_auto_f, h5fcreate_f, h5fopen_f, h5fclose_f, &
                   h5fflush_f, h5fget_filesize_f, h5fis_hdf5_f, h5gcreate_f, h5gopen_f, h5gclose_f, h5screate_simple_f, &
                   h5screate_f, h5sclose_f, h5dcreate_f, h5dopen_f, h5dclose_f, h5dwrite_f, h5acreate_f, h5awrite_f, &
@@ -17,7 +17,7 @@ module castnet_hdf5_file
                   h5tset_strpad_f, h5ldelete_f, h5lexists_f, h5t_string, h5t_fortran_s1, h5t_cset_utf8_f, &
                   h5t_str_nullpad_f, h5t_native_double, h5t_native_real, h5t_native_integer, h5t_std_i32le, &
                   h5t_std_i64le, h5t_ieee_f64le, h5t_ieee_f32le, h5f_acc_trunc_f, h5f_acc_rdonly_f, h5f_acc_rdwr_f, &
-                  h5f_scope_local_f, h5s_scalar_f, h5kind_to_type, h5_integer_kind
+                  h5f_scope_local_f, h5s_scalar_f, h5pcreate_f, h5pclose_f, h5p_file_access_f, h5kind_to_type, h5_integer_kind
   use h5ds, only: h5dsset_scale_f, h5dsattach_scale_f
   use castnet_kinds, only: wp, sp, i4, i8
   use castnet_error, only: error_t, fail, exit_file
@@ -44,6 +44,13 @@ module castnet_hdf5_file
     logical :: is_open = .false.
     logical :: broken = .false.                 !! a call has failed
   end type hdf5_file_t
+
+  interface
+    integer(c_int) function castnet_use_safe_driver(access) bind(c)
+      import :: c_int, hid_t
+      integer(hid_t), value :: access
+    end function castnet_use_safe_driver
+  end interface
 
   !> A number by its kind; of rank 0.
   interface write_value
@@ -106,10 +113,13 @@ contains
     type(hdf5_file_t), intent(out) :: file
     character(len=*), intent(in) :: path
     type(error_t), allocatable, intent(inout) :: error
-    integer :: status
+    integer(hid_t) :: access
+    integer :: status, ignored
     call begin_file(file, path)
-    call h5fcreate_f(path, h5f_acc_trunc_f, file%root%id, status)
+    call safe_access(access, status)
+    if (status >= 0) call h5fcreate_f(path, h5f_acc_trunc_f, file%root%id, status, access_prp=access)
     call check(file, status, 'create the file', '', error)
+    call h5pclose_f(access, ignored)
     file%is_open = status >= 0
   end subroutine create_hdf5
 
@@ -119,12 +129,27 @@ contains
     character(len=*), intent(in) :: path
     logical, intent(in) :: writable
     type(error_t), allocatable, intent(inout) :: error
-    integer :: status
+    integer(hid_t) :: access
+    integer :: status, ignored
     call begin_file(file, path)
-    call h5fopen_f(path, merge(h5f_acc_rdwr_f, h5f_acc_rdonly_f, writable), file%root%id, status)
+    if (writable) then
+      call safe_access(access, status)
+      if (status >= 0) call h5fopen_f(path, h5f_acc_rdwr_f, file%root%id, status, access_prp=access)
+      call h5pclose_f(access, ignored)
+    else
+      call h5fopen_f(path, h5f_acc_rdonly_f, file%root%id, status)
+    end if
     call check(file, status, 'open the file', '', error)
     file%is_open = status >= 0
   end subroutine open_hdf5
+
+  !> Writers use the driver that keeps the file whole at every moment.
+  subroutine safe_access(access, status)
+    integer(hid_t), intent(out) :: access
+    integer, intent(out) :: status
+    call h5pcreate_f(h5p_file_access_f, access, status)
+    if (status >= 0) status = castnet_use_safe_driver(access)
+  end subroutine safe_access
 
   subroutine begin_file(file, path)
     type(hdf5_file_t), intent(inout) :: file

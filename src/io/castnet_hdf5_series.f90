@@ -154,14 +154,15 @@ contains
   end subroutine open_series
 
   !> Most bytes that the file may grow by when `frames` more are appended: new chunks, and
-  !> the nodes of the tree that finds them.
+  !> the nodes of the tree that finds them, which are at least half full of 64 chunks.
   pure integer(i8) function growth_bytes(series, frames)
     type(series_t), intent(in) :: series
     integer(i8), intent(in) :: frames
     integer(i8), parameter :: tree_node = 4096_i8
     integer(i8) :: blocks
     blocks = chunk_blocks(series, series%length + frames) - chunk_blocks(series, series%length)
-    growth_bytes = blocks*(series%block_bytes + tree_node*(1 + series%block_chunks/16))
+    growth_bytes = blocks*series%block_bytes
+    if (blocks > 0) growth_bytes = growth_bytes + tree_node*(2 + blocks*series%block_chunks/32)
   end function growth_bytes
 
   pure integer(i8) function chunk_blocks(series, length)

@@ -1,6 +1,6 @@
 !> The output file of a run (design.md, "Output file"): what Python and ParaView open.
 !>
-!> The file is written as OUTPUT.part and renamed to OUTPUT when the run is complete.
+!> The file is started as OUTPUT.tmp, written as OUTPUT.part and renamed to OUTPUT when the run is complete.
 !> Everything of one frame goes through one `commit`: first the disk space that it can
 !> take is set aside, so that HDF5 never meets a full disk half-way, then it is written,
 !> then flushed. A run that is killed keeps every frame that was flushed.
@@ -14,7 +14,7 @@ module castnet_run_writer
   use castnet_model, only: model_t
   use castnet_state, only: state_t, schedule_t
   use castnet_record, only: history_row_t, summary_t
-  use castnet_text, only: to_text, folder_of
+  use castnet_text, only: to_text, byte_text, folder_of
   use castnet_posix, only: reserve_space, release_space, sync_path, rename_file, remove_file, free_space, &
                            time_stamp, host_name, file_failure, path_kind, path_file
   use castnet_hdf5_file, only: hdf5_file_t, location_t, create_hdf5, open_hdf5, close_file, flush_file, file_bytes, &
@@ -76,7 +76,7 @@ module castnet_run_writer
 
 contains
 
-  !> Start OUTPUT.part with everything that does not change. An old OUTPUT.part is replaced:
+  !> Start OUTPUT.part (as OUTPUT.tmp) with everything that does not change. An old one is replaced:
   !> who may do that is for the caller to know. Errors: exit_file.
   subroutine open_run(writer, path, scene_text, effective_text, model, surface, info, error)
     type(run_writer_t), intent(out) :: writer
@@ -87,10 +87,10 @@ contains
     type(surface_t), intent(in), optional :: surface      !! of the target, body axes; for pictures
     type(run_info_t), intent(in) :: info
     type(error_t), allocatable, intent(inout) :: error
-    integer :: ignored
+    integer :: number, ignored
     call prepare(writer, path, model, surface)
-    ignored = remove_file(writer%part)
-    call create_hdf5(writer%file, writer%part, error)
+    ignored = remove_file(path//'.tmp')
+    call create_hdf5(writer%file, path//'.tmp', error)
     if (allocated(error)) return
     call write_dimensions(writer, error)
     call create_frames(writer, error)
@@ -104,10 +104,15 @@ contains
     end if
     call flush_file(writer%file, error)
     call check_room(writer, info, error)
+    if (.not. allocated(error)) then
+      ! Under its name the file can be opened from the first moment on.
+      number = rename_file(path//'.tmp', writer%part)
+      if (number /= 0) call file_failure(error, number, 'cannot create', writer%part)
+      writer%file%path = writer%part
+    end if
     if (.not. allocated(error)) return
-    ! Nothing of value is in it yet.
     call close_quietly(writer)
-    ignored = remove_file(writer%part)
+    ignored = remove_file(path//'.tmp')
   end subroutine open_run
 
   !> Go on with OUTPUT.part after a restart: what lies behind the checkpoint is cut off.
@@ -458,11 +463,12 @@ contains
     integer(i8) :: needed, left
     if (allocated(error)) return
     left = free_space(folder_of(writer%part)//'.')
-    needed = tail + frame_growth(writer)*max(0_i8, info%expected_frames - info%schedule%frames)/2
+    needed = tail + frame_growth(writer, max(0_i8, info%expected_frames - info%schedule%frames)) &
+             + history_growth(writer%history, max(0_i8, info%expected_rows - info%schedule%rows))
     if (left < 0 .or. left >= needed) return
     call fail(error, exit_file, "the disk of '"//writer%path//"' is too small: the run writes about "// &
-              to_text(needed/1048576_i8 + 1_i8)//' MiB, '//to_text(left/1048576_i8)// &
-              ' MiB are free; free disk space, choose another folder with --output or a longer output/frame_interval')
+              byte_text(real(needed, wp))//', '//byte_text(real(left, wp))// &
+              ' are free; free disk space, choose another folder with --output or a longer output/frame_interval')
   end subroutine check_room
 
   !> A count that stands in /meta.
@@ -516,15 +522,16 @@ contains
 
   ! ---- while the run goes on --------------------------------------------------------
 
-  !> Most bytes that one frame adds to the file.
-  integer(i8) function frame_growth(writer)
+  !> Most bytes that so many frames add to the file.
+  integer(i8) function frame_growth(writer, frames)
     type(run_writer_t), intent(in) :: writer
+    integer(i8), intent(in) :: frames
     integer :: i
     frame_growth = 0
     do i = 1, n_series
-      if (writer%has(i)) frame_growth = frame_growth + growth_bytes(writer%series(i), 1_i8)
+      if (writer%has(i)) frame_growth = frame_growth + growth_bytes(writer%series(i), frames)
     end do
-    if (allocated(writer%vtk)) frame_growth = frame_growth + vtkhdf_growth(writer%vtk)
+    if (allocated(writer%vtk)) frame_growth = frame_growth + vtkhdf_growth(writer%vtk, frames)
   end function frame_growth
 
   !> Set aside what the next write can take, and what closing takes.
@@ -547,7 +554,7 @@ contains
     real(wp), intent(in), contiguous :: cable_tension(:) !! (n_cable) [N]
     type(error_t), allocatable, intent(inout) :: error
     if (allocated(error)) return
-    call reserve(writer, frame_growth(writer) + waiting_growth(writer), error)
+    call reserve(writer, frame_growth(writer, 1_i8) + waiting_growth(writer), error)
     if (allocated(error)) return
     call append_frames(writer%file, writer%series(s_time), [state%time], error)
     if (writer%has(s_node_position)) then

@@ -217,16 +217,17 @@ contains
     single = real(max(-real(huge(1.0_sp), wp), min(real(huge(1.0_sp), wp), value)), sp)
   end function single
 
-  !> Most bytes that one more frame adds to the file.
-  integer(i8) function vtkhdf_growth(vtk)
+  !> Most bytes that so many more frames add to the file.
+  integer(i8) function vtkhdf_growth(vtk, frames)
     type(vtkhdf_writer_t), intent(in) :: vtk
+    integer(i8), intent(in) :: frames
     integer :: i
-    vtkhdf_growth = growth_bytes(vtk%points, int(vtk%n_node + vtk%n_vertex, i8))
+    vtkhdf_growth = growth_bytes(vtk%points, frames*(vtk%n_node + vtk%n_vertex))
     do i = 1, n_step_series
-      vtkhdf_growth = vtkhdf_growth + growth_bytes(vtk%step(i), 1_i8)
+      vtkhdf_growth = vtkhdf_growth + growth_bytes(vtk%step(i), frames)
     end do
-    if (vtk%n_cable > 0) vtkhdf_growth = vtkhdf_growth + growth_bytes(vtk%tension, size(vtk%cell, kind=i8)) &
-                                         + growth_bytes(vtk%tension_offset, 1_i8)
+    if (vtk%n_cable > 0) vtkhdf_growth = vtkhdf_growth + growth_bytes(vtk%tension, frames*size(vtk%cell)) &
+                                         + growth_bytes(vtk%tension_offset, frames)
   end function vtkhdf_growth
 
   subroutine close_vtkhdf(vtk, file)
