@@ -25,6 +25,7 @@ program main
   use verify_chain, only: run_verify_chain
   use verify_contact, only: run_verify_contact
   use verify_environment, only: run_verify_environment
+  use verify_free_shot, only: run_verify_free_shot
   use verify_pulled_cable, only: run_verify_pulled_cable
   use verify_snap, only: run_verify_snap
   use verify_torque_free, only: run_verify_torque_free
@@ -53,6 +54,7 @@ program main
   call run_verify_chain()
   call run_verify_contact()
   call run_verify_environment()
+  call run_verify_free_shot()
   call run_verify_pulled_cable()
   call run_verify_snap()
   call run_verify_torque_free()

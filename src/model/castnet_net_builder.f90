@@ -37,7 +37,7 @@ contains
     integer :: ny, nz, sides, n_grid, n_inner, n_bullet, iy, iz, j, c, k, a, b, perimeter_count
     real(wp) :: length, area, edge_area, outward(3), angle, speed, scale
     logical :: at_edge
-    real(wp), allocatable :: linear_density(:)
+    real(wp), allocatable :: linear_density(:), half_mass(:, :)
 
     ny = group%squares(1)
     nz = group%squares(2)
@@ -55,7 +55,7 @@ contains
     scale = group%stowed_scale
 
     allocate (position(net%n_node, 3), velocity(net%n_node, 3), source=0.0_wp)
-    allocate (net%node_mass(net%n_node), source=0.0_wp)
+    allocate (half_mass(net%n_node, 2), source=0.0_wp)
     allocate (net%fixed(net%n_node), net%is_bullet(net%n_node), source=.false.)
     allocate (net%cable_nodes(2, net%n_cable))
     allocate (net%natural_length(net%n_cable), net%axial_stiffness(net%n_cable), net%damping(net%n_cable))
@@ -81,12 +81,13 @@ contains
         call add_side(grid(iy, iz), grid(iy, iz + 1))
       end do
     end do
+    ! Half of every cable at each end, by direction first: the same bits for a node and for
+    ! its image in a symmetric net, whatever the order of the cables.
     do k = 1, c
-      a = net%cable_nodes(1, k)
-      b = net%cable_nodes(2, k)
-      net%node_mass(a) = net%node_mass(a) + 0.5_wp*linear_density(k)*length
-      net%node_mass(b) = net%node_mass(b) + 0.5_wp*linear_density(k)*length
+      a = merge(2, 1, k > (nz + 1)*ny*group%cables_per_side)
+      half_mass(net%cable_nodes(:, k), a) = half_mass(net%cable_nodes(:, k), a) + 0.5_wp*linear_density(k)*length
     end do
+    net%node_mass = half_mass(:, 1) + half_mass(:, 2)
 
     net%corner_nodes = [grid(0, 0), grid(ny, 0), grid(ny, nz), grid(0, nz)]
     call trace_perimeter()

@@ -137,6 +137,8 @@ contains
 
   !> The tension law: T = max(floor, k (l - l0) + c dl/dt) while l > l0, else 0.
   !> Source: physics.md section 1. The force on the first end points to the second.
+  !> y and z are added before x: so a net that is symmetric about the flight direction x
+  !> stays symmetric to the last bit, although it is chaotic.
   pure subroutine strided_tension(m, ax, ay, az, bx, by, bz, au, av, aw, bu, bv, bw, &
                                   stiffness, natural_length, damping, floor_tension, fx, fy, fz, power)
     integer, intent(in) :: m
@@ -153,10 +155,10 @@ contains
       dx = bx(k) - ax(k)
       dy = by(k) - ay(k)
       dz = bz(k) - az(k)
-      square = max(dx*dx + dy*dy + dz*dz, smallest_square)
+      square = max(dx*dx + (dy*dy + dz*dz), smallest_square)
       inverse = 1.0_wp/sqrt(square)
       stretch = square*inverse - natural_length(k)
-      rate = (dx*(bu(k) - au(k)) + dy*(bv(k) - av(k)) + dz*(bw(k) - aw(k)))*inverse
+      rate = (dx*(bu(k) - au(k)) + (dy*(bv(k) - av(k)) + dz*(bw(k) - aw(k))))*inverse
       spring = stiffness(k)*stretch
       tension = merge(max(floor_tension, spring + damping(k)*rate), 0.0_wp, stretch > 0.0_wp)
       power(k) = merge((tension - spring)*rate, 0.0_wp, stretch > 0.0_wp)
@@ -186,10 +188,10 @@ contains
       dx = x(b, 1) - x(a, 1)
       dy = x(b, 2) - x(a, 2)
       dz = x(b, 3) - x(a, 3)
-      square = max(dx*dx + dy*dy + dz*dz, smallest_square)
+      square = max(dx*dx + (dy*dy + dz*dz), smallest_square)
       inverse = 1.0_wp/sqrt(square)
       stretch = square*inverse - plan%natural_length(slot)
-      rate = (dx*(v(b, 1) - v(a, 1)) + dy*(v(b, 2) - v(a, 2)) + dz*(v(b, 3) - v(a, 3)))*inverse
+      rate = (dx*(v(b, 1) - v(a, 1)) + (dy*(v(b, 2) - v(a, 2)) + dz*(v(b, 3) - v(a, 3))))*inverse
       spring = plan%stiffness(slot)*stretch
       tension = merge(max(floor_tension, spring + plan%damping(slot)*rate), 0.0_wp, stretch > 0.0_wp)
       power(k) = merge((tension - spring)*rate, 0.0_wp, stretch > 0.0_wp)
