@@ -20,6 +20,7 @@ program main
   use test_stable_step, only: run_test_stable_step
   use test_study_file, only: run_test_study_file
   use test_text, only: run_test_text
+  use test_threads, only: run_test_threads
   use testing, only: finish
   use verify_catenary, only: run_verify_catenary
   use verify_chain, only: run_verify_chain
@@ -50,6 +51,7 @@ program main
   call run_test_stable_step()
   call run_test_study_file()
   call run_test_text()
+  call run_test_threads()
   call run_verify_catenary()
   call run_verify_chain()
   call run_verify_contact()
