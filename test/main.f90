@@ -7,6 +7,7 @@ program main
   use test_convex_hull, only: run_test_convex_hull
   use test_diagnostics, only: run_test_diagnostics
   use test_friction, only: run_test_friction
+  use test_mesh, only: run_test_mesh
   use test_net_builder, only: run_test_net_builder
   use test_net_file, only: run_test_net_file
   use test_output_files, only: run_test_output_files
@@ -38,6 +39,7 @@ program main
   call run_test_convex_hull()
   call run_test_diagnostics()
   call run_test_friction()
+  call run_test_mesh()
   call run_test_net_builder()
   call run_test_net_file()
   call run_test_output_files()

@@ -10,14 +10,18 @@ module castnet_shape
                                primitive_extent, primitive_support, shape_none, shape_box, shape_cylinder, &
                                shape_sphere, shape_capsule, shape_compound, shape_mesh
   use castnet_rotation, only: rotation_matrix, normalise_quaternion, multiply, multiply_transposed, congruent
-  use castnet_surface, only: surface_t, append_surface
+  use castnet_surface, only: surface_t, append_surface, surface_volume, surface_centroid, surface_inertia
   use castnet_segment, only: primitive_segments
   use castnet_compound, only: compound_distance, compound_segments, to_part
   use castnet_tessellation, only: tessellate_primitive
+  use castnet_mesh, only: mesh_t, build_mesh, mesh_distance
+  use castnet_mesh_check, only: close_surface
+  use castnet_mesh_file, only: read_mesh_file
+  use castnet_mesh_segment, only: mesh_segments, mesh_sweep
   implicit none
   private
-  public :: shape_t, new_shape, new_compound, new_mesh_shape
-  public :: signed_distance, segment_distance, swept_contact
+  public :: shape_t, new_shape, new_compound, new_mesh_shape, new_surface_shape, move_shape
+  public :: signed_distance, signed_distance_within, segment_distance, segment_distance_within, swept_contact
   public :: shape_bounding_radius, shape_bounds, shape_volume, shape_centroid, unit_inertia, shape_length
   public :: tessellate, surface_samples
   public :: shape_none, shape_box, shape_cylinder, shape_sphere, shape_capsule, shape_compound, shape_mesh
@@ -25,7 +29,8 @@ module castnet_shape
   type :: shape_t
     integer :: kind = shape_none
     real(wp) :: dimensions(3) = 0.0_wp              !! as the scene gives them; 0 for a compound or a mesh [m]
-    type(primitive_t), allocatable :: parts(:)      !! one for a primitive, several for a compound
+    type(primitive_t), allocatable :: parts(:)      !! one for a primitive, several for a compound, none for a mesh
+    type(mesh_t), allocatable :: mesh               !! for a mesh alone
   end type shape_t
 
   interface segment_distance
@@ -84,13 +89,54 @@ contains
     shape%kind = shape_compound
   end subroutine new_compound
 
-  !> A closed triangle mesh from an STL or OBJ file [m].
+  !> A closed triangle mesh from an STL or OBJ file, in metres, axes as the file's. Errors: see
+  !> `read_mesh_file` and `close_surface`.
   subroutine new_mesh_shape(shape, path, error)
     type(shape_t), intent(out) :: shape
     character(len=*), intent(in) :: path
     type(error_t), allocatable, intent(inout) :: error
-    call fail(error, exit_input, 'reading the mesh '//path//': shape ''mesh'' is not available yet')
+    type(surface_t) :: surface
+    call read_mesh_file(path, surface, error)
+    if (allocated(error)) return
+    call new_surface_shape(shape, surface, path, error)
   end subroutine new_mesh_shape
+
+  !> The same from triangles in memory; `name` stands in messages.
+  subroutine new_surface_shape(shape, surface, name, error)
+    type(shape_t), intent(out) :: shape
+    type(surface_t), intent(in) :: surface
+    character(len=*), intent(in) :: name
+    type(error_t), allocatable, intent(inout) :: error
+    type(surface_t) :: closed
+    closed = surface
+    call close_surface(closed, name, error)
+    if (allocated(error)) return
+    shape%kind = shape_mesh
+    allocate (shape%mesh)
+    call build_mesh(closed, shape%mesh)
+  end subroutine new_surface_shape
+
+  !> Move a shape in its body axes, so that the point `origin` becomes the body's origin (a mesh's or
+  !> a compound's centroid, for example). A primitive becomes a compound of one part.
+  subroutine move_shape(shape, origin)
+    type(shape_t), intent(inout) :: shape
+    real(wp), intent(in) :: origin(3)               !! body axes [m]
+    type(surface_t) :: surface
+    integer :: i
+    if (shape%kind == shape_mesh) then
+      surface = shape%mesh%surface
+      do i = 1, size(surface%vertex, 2)
+        surface%vertex(:, i) = surface%vertex(:, i) - origin
+      end do
+      call build_mesh(surface, shape%mesh)
+    else
+      shape%kind = shape_compound
+      do i = 1, size(shape%parts)
+        shape%parts(i)%position = shape%parts(i)%position - origin
+        shape%parts(i)%is_placed = .true.
+      end do
+    end if
+  end subroutine move_shape
 
   subroutine new_primitive(part, word, dimensions, error)
     type(primitive_t), intent(out) :: part
@@ -140,35 +186,64 @@ contains
   end function dimensions_needed
 
   !> Signed distance (negative inside) and outward unit normal, its gradient, of many
-  !> points in body axes. Exact for primitives and outside compounds; inside compounds
+  !> points in body axes. Exact for primitives, meshes and outside compounds; inside compounds
   !> see `castnet_compound`.
   pure subroutine signed_distance(shape, n, point, distance, normal)
     type(shape_t), intent(in) :: shape
     integer, intent(in) :: n
     real(wp), intent(in) :: point(3, n)                !! body axes [m]
     real(wp), intent(out) :: distance(n), normal(3, n) !! [m], [-]
-    if (shape%kind == shape_compound) then
-      call compound_distance(shape%parts, n, point, distance, normal)
-    else
-      call primitive_distance(shape%kind, shape%parts(1)%half, n, point, distance, normal)
-    end if
+    call signed_distance_within(shape, huge(1.0_wp), n, point, distance, normal)
   end subroutine signed_distance
 
+  !> The same, but a point farther out than `limit` may get any distance above `limit` and any unit
+  !> normal: what contact asks for, and cheaper for a mesh.
+  pure subroutine signed_distance_within(shape, limit, n, point, distance, normal)
+    type(shape_t), intent(in) :: shape
+    real(wp), intent(in) :: limit                      !! [m]
+    integer, intent(in) :: n
+    real(wp), intent(in) :: point(3, n)                !! body axes [m]
+    real(wp), intent(out) :: distance(n), normal(3, n) !! [m], [-]
+    select case (shape%kind)
+    case (shape_compound)
+      call compound_distance(shape%parts, n, point, distance, normal)
+    case (shape_mesh)
+      call mesh_distance(shape%mesh, limit, n, point, distance, normal)
+    case default
+      call primitive_distance(shape%kind, shape%parts(1)%half, n, point, distance, normal)
+    end select
+  end subroutine signed_distance_within
+
   !> The point a + (b - a) fraction of each segment that is nearest to, or deepest in, the shape,
-  !> its signed distance and the outward normal there. Where a whole piece is equally near, its middle.
-  !> Exact (rounding) for primitives and outside compounds.
+  !> its signed distance and the outward normal there. Where a whole piece of the segment is equally
+  !> near, its middle (a mesh: of what it can tell). Exact for primitives, and outside of compounds
+  !> and meshes; the deepest point in these is that of a part, or of a convex stretch.
   pure subroutine segment_distance_many(shape, n, a, b, fraction, distance, normal)
     type(shape_t), intent(in) :: shape
     integer, intent(in) :: n
     real(wp), intent(in) :: a(3, n), b(3, n)           !! ends, body axes [m]
     real(wp), intent(out) :: fraction(n), distance(n)  !! 0 to 1 [-], [m]
     real(wp), intent(out) :: normal(3, n)
-    if (shape%kind == shape_compound) then
-      call compound_segments(shape%parts, n, a, b, fraction, distance, normal)
-    else
-      call primitive_segments(shape%kind, shape%parts(1)%half, n, a, b, fraction, distance, normal)
-    end if
+    call segment_distance_within(shape, huge(1.0_wp), n, a, b, fraction, distance, normal)
   end subroutine segment_distance_many
+
+  !> The same, but a segment farther out than `limit` may get any distance above `limit`.
+  pure subroutine segment_distance_within(shape, limit, n, a, b, fraction, distance, normal)
+    type(shape_t), intent(in) :: shape
+    real(wp), intent(in) :: limit                      !! [m]
+    integer, intent(in) :: n
+    real(wp), intent(in) :: a(3, n), b(3, n)           !! ends, body axes [m]
+    real(wp), intent(out) :: fraction(n), distance(n)  !! 0 to 1 [-], [m]
+    real(wp), intent(out) :: normal(3, n)
+    select case (shape%kind)
+    case (shape_compound)
+      call compound_segments(shape%parts, n, a, b, fraction, distance, normal)
+    case (shape_mesh)
+      call mesh_segments(shape%mesh, limit, n, a, b, fraction, distance, normal)
+    case default
+      call primitive_segments(shape%kind, shape%parts(1)%half, n, a, b, fraction, distance, normal)
+    end select
+  end subroutine segment_distance_within
 
   !> The same for one segment; slower than many at once.
   pure subroutine segment_distance_one(shape, a, b, fraction, distance, normal)
@@ -185,8 +260,9 @@ contains
   !> First contact of nodes that move straight from p0 to p1 in body axes: the least fraction of
   !> the way at which the signed distance is `limit` or less; 0 for a node that starts there.
   !> A node that misses has hit false, fraction 1 and the distance at its nearest point.
-  !> Newton's method along the way, which never passes the first contact, because a convex
-  !> solid's signed distance is convex along it. Scalar: meant for the few nodes that could cross.
+  !> Primitives: Newton's method along the way, which never passes the first contact, because a
+  !> convex solid's signed distance is convex along it; meshes: steps as long as the distance.
+  !> One node after the other: meant for the few that could cross.
   pure subroutine swept_contact(shape, n, p0, p1, limit, fraction, hit, distance, normal)
     type(shape_t), intent(in) :: shape
     integer, intent(in) :: n
@@ -198,18 +274,21 @@ contains
     real(wp) :: t, d(1)
     integer :: i, k
     do i = 1, n
-      fraction(i) = 1.0_wp
-      hit(i) = .false.
-      do k = 1, size(shape%parts)
-        call swept_part(shape%parts(k), p0(:, i), p1(:, i), limit, t)
-        if (t > 1.0_wp) cycle
-        hit(i) = .true.
-        fraction(i) = min(fraction(i), t)
-      end do
+      fraction(i) = 2.0_wp
+      if (shape%kind == shape_mesh) then
+        call mesh_sweep(shape%mesh, p0(:, i), p1(:, i), limit, fraction(i))
+      else
+        do k = 1, size(shape%parts)
+          call swept_part(shape%parts(k), p0(:, i), p1(:, i), limit, t)
+          fraction(i) = min(fraction(i), t)
+        end do
+      end if
+      hit(i) = fraction(i) <= 1.0_wp
       if (hit(i)) then
         call signed_distance(shape, 1, p0(:, i) + (p1(:, i) - p0(:, i))*fraction(i), d, normal(:, i))
         distance(i) = d(1)
       else
+        fraction(i) = 1.0_wp
         call segment_distance_one(shape, p0(:, i), p1(:, i), t, distance(i), normal(:, i))
       end if
     end do
@@ -247,6 +326,13 @@ contains
     real(wp) :: reach
     integer :: k
     radius = 0.0_wp
+    if (shape%kind == shape_mesh) then
+      do k = 1, size(shape%mesh%surface%vertex, 2)
+        radius = max(radius, sum(shape%mesh%surface%vertex(:, k)**2))
+      end do
+      radius = sqrt(radius)
+      return
+    end if
     do k = 1, size(shape%parts)
       associate (part => shape%parts(k))
         select case (part%kind)
@@ -262,12 +348,17 @@ contains
     end do
   end function shape_bounding_radius
 
-  !> Axis-parallel box in body axes that holds the shape, tight for primitives and compounds [m].
+  !> Axis-parallel box in body axes that holds the shape, tight [m].
   pure subroutine shape_bounds(shape, lower, upper)
     type(shape_t), intent(in) :: shape
     real(wp), intent(out) :: lower(3), upper(3)
     real(wp) :: direction(3), reach
     integer :: k, axis
+    if (shape%kind == shape_mesh) then
+      lower = shape%mesh%lower
+      upper = shape%mesh%upper
+      return
+    end if
     lower = huge(1.0_wp)
     upper = -huge(1.0_wp)
     do k = 1, size(shape%parts)
@@ -287,6 +378,10 @@ contains
     type(shape_t), intent(in) :: shape
     integer :: k
     volume = 0.0_wp
+    if (shape%kind == shape_mesh) then
+      volume = surface_volume(shape%mesh%surface)
+      return
+    end if
     do k = 1, size(shape%parts)
       volume = volume + primitive_volume(shape%parts(k)%kind, shape%parts(k)%half)
     end do
@@ -298,6 +393,10 @@ contains
     real(wp) :: centroid(3), share
     integer :: k
     centroid = 0.0_wp
+    if (shape%kind == shape_mesh) then
+      centroid = surface_centroid(shape%mesh%surface)
+      return
+    end if
     do k = 1, size(shape%parts)
       share = primitive_volume(shape%parts(k)%kind, shape%parts(k)%half)
       centroid = centroid + share*shape%parts(k)%position
@@ -312,6 +411,10 @@ contains
     real(wp) :: inertia(3, 3), own(3), diagonal(3, 3), arm(3), centroid(3), share, total
     integer :: i, j, k
     inertia = 0.0_wp
+    if (shape%kind == shape_mesh) then
+      inertia = surface_inertia(shape%mesh%surface)
+      return
+    end if
     total = shape_volume(shape)
     centroid = shape_centroid(shape)
     do k = 1, size(shape%parts)
@@ -348,6 +451,10 @@ contains
     type(surface_t), intent(out) :: surface
     type(surface_t) :: piece
     integer :: i, k
+    if (shape%kind == shape_mesh) then
+      surface = shape%mesh%surface
+      return
+    end if
     do k = 1, size(shape%parts)
       call tessellate_primitive(shape%parts(k)%kind, shape%parts(k)%half, piece)
       do i = 1, size(piece%vertex, 2)
@@ -364,26 +471,14 @@ contains
     integer, intent(in) :: most
     real(wp), allocatable, intent(out) :: point(:, :)  !! (3,count) body axes [m]
     real(wp), parameter :: golden = 2.39996322972865332_wp  ! angle of the sunflower [rad]
-    real(wp) :: found(3, most), direction(3), candidate(3), best(3), reach, far, z, near
+    real(wp) :: found(3, most), direction(3), best(3), z, near
     integer :: i, k, count
     near = 1.0e-6_wp*shape_length(shape)
     count = 0
     do i = 1, most
       z = 1.0_wp - (2.0_wp*real(i, wp) - 1.0_wp)/real(most, wp)
       direction = [sqrt(1.0_wp - z*z)*cos(golden*i), sqrt(1.0_wp - z*z)*sin(golden*i), z]
-      far = -huge(1.0_wp)
-      best = 0.0_wp
-      do k = 1, size(shape%parts)
-        associate (part => shape%parts(k))
-          candidate = part%position + multiply(part%rotation, &
-                      primitive_support(part%kind, part%half, multiply_transposed(part%rotation, direction)))
-        end associate
-        reach = sum(direction*candidate)
-        if (reach > far) then
-          far = reach
-          best = candidate
-        end if
-      end do
+      best = farthest_point(shape, direction)
       do k = 1, count
         if (maxval(abs(found(:, k) - best)) < near) exit
       end do
@@ -393,5 +488,34 @@ contains
     end do
     point = found(:, :count)
   end subroutine surface_samples
+
+  !> The point of the shape farthest along a direction, body axes [m].
+  pure function farthest_point(shape, direction) result(best)
+    type(shape_t), intent(in) :: shape
+    real(wp), intent(in) :: direction(3)
+    real(wp) :: best(3), candidate(3), reach, far
+    integer :: k, n
+    far = -huge(1.0_wp)
+    best = 0.0_wp
+    if (shape%kind == shape_mesh) then
+      n = size(shape%mesh%surface%vertex, 2)
+    else
+      n = size(shape%parts)
+    end if
+    do k = 1, n
+      if (shape%kind == shape_mesh) then
+        candidate = shape%mesh%surface%vertex(:, k)
+      else
+        associate (part => shape%parts(k))
+          candidate = part%position + multiply(part%rotation, &
+                      primitive_support(part%kind, part%half, multiply_transposed(part%rotation, direction)))
+        end associate
+      end if
+      reach = direction(1)*candidate(1) + direction(2)*candidate(2) + direction(3)*candidate(3)
+      if (reach <= far) cycle
+      far = reach
+      best = candidate
+    end do
+  end function farthest_point
 
 end module castnet_shape

@@ -23,16 +23,18 @@ contains
   !> Centroid of the solid [m].
   pure function surface_centroid(surface) result(centroid)
     type(surface_t), intent(in) :: surface
-    real(wp) :: centroid(3), volume, inertia(3, 3)
-    call integrate(surface, volume, centroid, inertia)
+    real(wp) :: centroid(3), volume, place(3), inertia(3, 3)
+    call integrate(surface, volume, place, inertia)
+    centroid = place
   end function surface_centroid
 
   !> Inertia tensor of the uniform solid about its centroid, per unit mass [m2];
   !> off-diagonal entries are the tensor's (-sum x y).
   pure function surface_inertia(surface) result(inertia)
     type(surface_t), intent(in) :: surface
-    real(wp) :: inertia(3, 3), volume, centroid(3)
-    call integrate(surface, volume, centroid, inertia)
+    real(wp) :: inertia(3, 3), volume, centroid(3), tensor(3, 3)
+    call integrate(surface, volume, centroid, tensor)
+    inertia = tensor
   end function surface_inertia
 
   !> Volume, centroid and second moments as sums over the tetrahedra between each triangle

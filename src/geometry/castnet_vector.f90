@@ -32,15 +32,16 @@ contains
   !> v/|v|; a vector without a direction gives the x axis.
   pure function unit(v) result(u)
     real(wp), intent(in) :: v(3)
-    real(wp) :: u(3), scale, length
+    real(wp) :: u(3), w(3), scale
     u = [1.0_wp, 0.0_wp, 0.0_wp]
     scale = max(abs(v(1)), abs(v(2)), abs(v(3)))
     if (.not. scale > 0.0_wp) return
-    u = v
+    ! Not u itself: gfortran 12 may have the result in a strided section of the caller's,
+    ! and then hands a procedure that gets u the wrong numbers.
+    w = v
     ! Squares of very small or large components would leave the range of reals.
-    if (scale < 1.0e-140_wp .or. scale > 1.0e140_wp) u = v/scale
-    length = norm(u)
-    u = u/length
+    if (scale < 1.0e-140_wp .or. scale > 1.0e140_wp) w = v/scale
+    u = w/norm(w)
   end function unit
 
 end module castnet_vector

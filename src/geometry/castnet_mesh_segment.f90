@@ -1,0 +1,371 @@
+!> Segments and moving points against a closed triangle mesh.
+!>
+!> Outside, the nearest point of a segment is exact: the tree is searched for the triangle
+!> nearest to the whole segment. Inside, the segment is cut where it pierces the surface, and
+!> in each piece between the least of the signed distance is found by cutting planes (its
+!> slopes are the normals), which is exact where the solid is convex about the piece.
+module castnet_mesh_segment
+  use castnet_kinds, only: wp
+  use castnet_mesh, only: mesh_t, mesh_point, lower_bound_of_distance, facet_normal, leaf_distance2, lanes, &
+                          stack_depth, leaf_a, leaf_ab, leaf_ac, leaf_n, leaf_inverse, leaf_items
+  implicit none
+  private
+  public :: mesh_segments, mesh_sweep
+
+  integer, parameter :: most_crossings = 64
+  integer, parameter :: pieces = 4                !! of an inside stretch, to start from the deepest
+  integer, parameter :: most_cuts = 40
+  integer, parameter :: most_steps = 400
+  real(wp), parameter :: tie_ratio = 1.0e-12_wp   !! of the size: equally near
+  real(wp), parameter :: sweep_ratio = 1.0e-11_wp !! of the size: arrived
+
+  !> What a search along a segment has found.
+  type :: found_t
+    real(wp) :: least = huge(1.0_wp)          !! distance to the surface [m]
+    real(wp) :: tie = 0.0_wp                  !! [m]
+    real(wp) :: first = 0.5_wp, last = 0.5_wp !! fractions between which it is met [-]
+    integer :: n_crossing = 0
+    real(wp) :: crossing(most_crossings) = 0.0_wp
+  end type found_t
+
+contains
+
+  !> For each segment a + (b - a) t, 0 <= t <= 1: where the signed distance is least, that distance
+  !> and the normal there. A segment farther out than `limit` may get any distance above `limit`.
+  pure subroutine mesh_segments(mesh, limit, n, a, b, fraction, distance, normal)
+    type(mesh_t), intent(in) :: mesh
+    real(wp), intent(in) :: limit
+    integer, intent(in) :: n
+    real(wp), intent(in) :: a(3, n), b(3, n)                        !! [m]
+    real(wp), intent(out) :: fraction(n), distance(n), normal(3, n) !! [-], [m], [-]
+    real(wp) :: v(3), bound
+    integer :: i, facet
+    do i = 1, n
+      v = b(:, i) - a(:, i)
+      call lower_bound_of_distance(mesh, a(:, i) + 0.5_wp*v, bound, facet)
+      bound = bound - 0.5_wp*sqrt(v(1)*v(1) + v(2)*v(2) + v(3)*v(3))
+      if (bound > limit) then
+        fraction(i) = 0.5_wp
+        distance(i) = bound
+        normal(:, i) = facet_normal(mesh, facet)
+      else
+        call mesh_segment(mesh, limit, a(:, i), v, facet, fraction(i), distance(i), normal(:, i))
+      end if
+    end do
+  end subroutine mesh_segments
+
+  pure subroutine mesh_segment(mesh, limit, a, v, facet, fraction, distance, normal)
+    type(mesh_t), intent(in) :: mesh
+    real(wp), intent(in) :: limit
+    real(wp), intent(in) :: a(3), v(3)   !! start and whole way [m]
+    integer, intent(in) :: facet         !! near the middle
+    real(wp), intent(out) :: fraction, distance, normal(3)
+    type(found_t) :: found
+    integer :: near
+    near = facet
+    fraction = 0.5_wp
+    call mesh_point(mesh, a + 0.5_wp*v, near, distance, normal)
+    found%tie = tie_ratio*mesh%extent
+    found%least = min(abs(distance), max(0.0_wp, limit) + 2.0_wp*found%tie)
+    call search_tree(mesh, a, v, found)
+    if (found%n_crossing > 0 .or. distance <= 0.0_wp) then
+      call search_inside(mesh, a, v, found%crossing(:found%n_crossing), near, fraction, distance, normal)
+      return
+    end if
+    ! Nothing nearer than the limit was found, and the middle is outside.
+    if (found%least > limit) return
+    fraction = 0.5_wp*(found%first + found%last)
+    call mesh_point(mesh, a + fraction*v, near, distance, normal)
+    if (distance <= found%least + 4.0_wp*found%tie) return
+    ! Equally near at separate places: the first.
+    fraction = found%first
+    call mesh_point(mesh, a + fraction*v, near, distance, normal)
+  end subroutine mesh_segment
+
+  !> The least signed distance of a segment that is inside somewhere: stretch by stretch.
+  pure subroutine search_inside(mesh, a, v, crossing, near, fraction, distance, normal)
+    type(mesh_t), intent(in) :: mesh
+    real(wp), intent(in) :: a(3), v(3), crossing(:)
+    integer, intent(inout) :: near
+    real(wp), intent(inout) :: fraction, distance, normal(3)  !! in: of some point of the segment
+    real(wp) :: cut(0:most_crossings + 1), d, g(3), t
+    integer :: k, i, last
+    last = size(crossing) + 1
+    cut(0) = 0.0_wp
+    ! Insertion: there are two or four of them.
+    do k = 1, size(crossing)
+      t = crossing(k)
+      do i = k - 1, 1, -1
+        if (cut(i) <= t) exit
+        cut(i + 1) = cut(i)
+      end do
+      cut(i + 1) = t
+    end do
+    cut(last) = 1.0_wp
+    do k = 0, last
+      call mesh_point(mesh, a + cut(k)*v, near, d, g)
+      if (d < distance) call keep(cut(k), d, g, fraction, distance, normal)
+    end do
+    do k = 1, last
+      t = 0.5_wp*(cut(k - 1) + cut(k))
+      call mesh_point(mesh, a + t*v, near, d, g)
+      if (d >= 0.0_wp) cycle
+      call deepest(mesh, a, v, cut(k - 1), cut(k), near, t, d, g)
+      if (d < distance) call keep(t, d, g, fraction, distance, normal)
+    end do
+  end subroutine search_inside
+
+  pure subroutine keep(t, d, g, fraction, distance, normal)
+    real(wp), intent(in) :: t, d, g(3)
+    real(wp), intent(out) :: fraction, distance, normal(3)
+    fraction = t
+    distance = d
+    normal = g
+  end subroutine keep
+
+  !> The least signed distance on an inside stretch: the deepest of a few points, then the tangents
+  !> at both ends of a bracket about it meet below the least (Kelley 1960), until they meet at it.
+  pure subroutine deepest(mesh, a, v, from, to, near, fraction, distance, normal)
+    type(mesh_t), intent(in) :: mesh
+    real(wp), intent(in) :: a(3), v(3), from, to
+    integer, intent(inout) :: near
+    real(wp), intent(out) :: fraction, distance, normal(3)
+    real(wp) :: t(0:pieces), d(0:pieces), slope(0:pieces), g(3), low, high, d_low, d_high, s_low, s_high, x, value, rate
+    integer :: k, best
+    best = 0
+    distance = huge(1.0_wp)
+    do k = 0, pieces
+      t(k) = from + (to - from)*(real(k, wp)/pieces)
+      call mesh_point(mesh, a + t(k)*v, near, d(k), g)
+      slope(k) = g(1)*v(1) + g(2)*v(2) + g(3)*v(3)
+      if (d(k) >= distance) cycle
+      best = k
+      call keep(t(k), d(k), g, fraction, distance, normal)
+    end do
+    k = max(0, best - 1)
+    low = t(k)
+    d_low = d(k)
+    s_low = slope(k)
+    k = min(pieces, best + 1)
+    high = t(k)
+    d_high = d(k)
+    s_high = slope(k)
+    do k = 1, most_cuts
+      if (s_low >= 0.0_wp .or. s_high <= 0.0_wp) exit
+      x = (d_high - d_low + s_low*low - s_high*high)/(s_low - s_high)
+      if (d_low + s_low*(x - low) >= distance - tie_ratio*mesh%extent) exit
+      if (x <= low .or. x >= high) exit
+      call mesh_point(mesh, a + x*v, near, value, g)
+      rate = g(1)*v(1) + g(2)*v(2) + g(3)*v(3)
+      if (value < distance) call keep(x, value, g, fraction, distance, normal)
+      if (rate < 0.0_wp) then
+        low = x
+        d_low = value
+        s_low = rate
+      else
+        high = x
+        d_high = value
+        s_high = rate
+      end if
+    end do
+  end subroutine deepest
+
+  !> Distance from a segment to the surface, and where the segment pierces it.
+  pure subroutine search_tree(mesh, a, v, found)
+    type(mesh_t), intent(in) :: mesh
+    real(wp), intent(in) :: a(3), v(3)
+    type(found_t), intent(inout) :: found
+    real(wp) :: d(lanes), waiting_distance(stack_depth), reach
+    integer :: waiting(stack_depth), height, node, k
+    height = 1
+    waiting(1) = mesh%root
+    waiting_distance(1) = 0.0_wp
+    do while (height > 0)
+      node = waiting(height)
+      height = height - 1
+      reach = (found%least + found%tie)**2
+      if (waiting_distance(height + 1) > reach) cycle
+      if (node < 0) then
+        call try_leaf(mesh%leaf(:, :, -node), a, v, found)
+        cycle
+      end if
+      call boxes_gap2(mesh%box(:, :, node), a, v, d)
+      do k = 1, lanes
+        if (d(k) > reach .or. mesh%child(k, node) == 0) cycle
+        ! The nearest on top.
+        height = height + 1
+        waiting(height) = mesh%child(k, node)
+        waiting_distance(height) = d(k)
+        if (height == 1) cycle
+        if (waiting_distance(height - 1) < d(k)) then
+          waiting(height) = waiting(height - 1)
+          waiting_distance(height) = waiting_distance(height - 1)
+          waiting(height - 1) = mesh%child(k, node)
+          waiting_distance(height - 1) = d(k)
+        end if
+      end do
+    end do
+  end subroutine search_tree
+
+  !> Squared distances from the boxes of a segment's quarters to eight boxes: the least of the four
+  !> is a lower bound of the segment's own.
+  pure subroutine boxes_gap2(bounds, a, v, square)
+    real(wp), intent(in) :: bounds(lanes, 6), a(3), v(3)
+    real(wp), intent(out) :: square(lanes)
+    real(wp) :: low(3), high(3), p(3), q(3), x, y, z
+    integer :: i, k
+    square = huge(1.0_wp)
+    p = a
+    do i = 1, 4
+      q = a + (0.25_wp*i)*v
+      low = min(p, q)
+      high = max(p, q)
+      p = q
+      !GCC$ unroll 1
+      do k = 1, lanes
+        x = max(bounds(k, 1) - high(1), max(low(1) - bounds(k, 4), 0.0_wp))
+        y = max(bounds(k, 2) - high(2), max(low(2) - bounds(k, 5), 0.0_wp))
+        z = max(bounds(k, 3) - high(3), max(low(3) - bounds(k, 6), 0.0_wp))
+        square(k) = min(square(k), x*x + y*y + z*z)
+      end do
+    end do
+  end subroutine boxes_gap2
+
+  !> A segment and a triangle are nearest at an end of the segment, at a corner, at an edge, or where
+  !> the segment pierces the triangle: all eight triangles of a leaf at once.
+  pure subroutine try_leaf(f, a, v, found)
+    real(wp), intent(in) :: f(lanes, leaf_items), a(3), v(3)
+    type(found_t), intent(inout) :: found
+    integer, parameter :: places = 9
+    real(wp), parameter :: leak = 1.0e-18_wp  ! squared, of a side: a crossing on an edge is seen from both sides
+    real(wp) :: square(lanes, places), t(lanes, places), corner(lanes, 3), side(lanes, 3), piercing(lanes), reach
+    integer :: i, k
+    t(:, 1) = 0.0_wp
+    t(:, 2) = 1.0_wp
+    call leaf_distance2(f, a, square(:, 1))
+    call leaf_distance2(f, a + v, square(:, 2))
+    call pierce(f, a, v, t(:, 3), piercing)
+    do i = 1, 3
+      corner(:, i) = f(:, leaf_a + i - 1)
+      side(:, i) = f(:, leaf_ab + i - 1)
+    end do
+    call edge(corner, side, f(:, leaf_inverse), a, v, t(:, 4), square(:, 4), t(:, 5), square(:, 5))
+    do i = 1, 3
+      side(:, i) = f(:, leaf_ac + i - 1)
+    end do
+    call edge(corner, side, f(:, leaf_inverse + 1), a, v, t(:, 6), square(:, 6), t(:, 7), square(:, 7))
+    do i = 1, 3
+      corner(:, i) = corner(:, i) + side(:, i)
+      side(:, i) = f(:, leaf_ab + i - 1) - side(:, i)
+    end do
+    call edge(corner, side, f(:, leaf_inverse + 2), a, v, t(:, 8), square(:, 8), t(:, 9), square(:, 9))
+    do k = 1, lanes
+      square(k, 3) = merge(0.0_wp, huge(1.0_wp), piercing(k) <= leak/f(k, leaf_inverse))
+      if (square(k, 3) > 0.0_wp .or. found%n_crossing == most_crossings) cycle
+      found%n_crossing = found%n_crossing + 1
+      found%crossing(found%n_crossing) = t(k, 3)
+    end do
+    reach = (found%least + found%tie)**2
+    do i = 1, places
+      do k = 1, lanes
+        if (square(k, i) <= reach) call offer(t(k, i), sqrt(square(k, i)), found)
+      end do
+    end do
+  end subroutine try_leaf
+
+  !> Where a segment meets the planes of eight triangles, and the squared distance there to the
+  !> triangle; huge where it does not meet the plane.
+  pure subroutine pierce(f, a, v, t, square)
+    real(wp), intent(in) :: f(lanes, leaf_items), a(3), v(3)
+    real(wp), intent(out) :: t(lanes), square(lanes)
+    real(wp) :: start, rise, d(lanes)
+    logical :: meets
+    integer :: k
+    !GCC$ unroll 1
+    do k = 1, lanes
+      start = (a(1) - f(k, leaf_a))*f(k, leaf_n) + (a(2) - f(k, leaf_a + 1))*f(k, leaf_n + 1) + &
+              (a(3) - f(k, leaf_a + 2))*f(k, leaf_n + 2)
+      rise = v(1)*f(k, leaf_n) + v(2)*f(k, leaf_n + 1) + v(3)*f(k, leaf_n + 2)
+      meets = start*(start + rise) <= 0.0_wp .and. abs(rise) > 0.0_wp
+      t(k) = merge(-start/merge(rise, 1.0_wp, meets), 0.0_wp, meets)
+      square(k) = merge(0.0_wp, huge(1.0_wp), meets)
+    end do
+    do k = 1, lanes
+      if (square(k) > 0.0_wp) cycle
+      call leaf_distance2(f, a + t(k)*v, d)
+      square(k) = d(k)
+    end do
+  end subroutine pierce
+
+  !> Where a segment is nearest to eight edges (Ericson, Real-Time Collision Detection, 5.1.9), and
+  !> where to their first corners: between corners' places a parallel edge is equally near.
+  pure subroutine edge(corner, side, inverse, a, v, t_edge, square_edge, t_corner, square_corner)
+    real(wp), intent(in) :: corner(lanes, 3), side(lanes, 3), inverse(lanes), a(3), v(3)
+    real(wp), intent(out), dimension(lanes) :: t_edge, square_edge, t_corner, square_corner
+    real(wp) :: r1, r2, r3, vv, ww, vw, vr, wr, s, t, denominator
+    integer :: k
+    vv = v(1)*v(1) + v(2)*v(2) + v(3)*v(3)
+    vv = merge(vv, 1.0_wp, vv > 0.0_wp)
+    do k = 1, lanes
+      r1 = a(1) - corner(k, 1)
+      r2 = a(2) - corner(k, 2)
+      r3 = a(3) - corner(k, 3)
+      ww = 1.0_wp/inverse(k)
+      vw = v(1)*side(k, 1) + v(2)*side(k, 2) + v(3)*side(k, 3)
+      vr = v(1)*r1 + v(2)*r2 + v(3)*r3
+      wr = side(k, 1)*r1 + side(k, 2)*r2 + side(k, 3)*r3
+      denominator = vv*ww - vw*vw
+      t = max(0.0_wp, min(1.0_wp, (vw*wr - vr*ww)/merge(denominator, 1.0_wp, denominator > 1.0e-24_wp*vv*ww)))
+      s = max(0.0_wp, min(1.0_wp, (vw*t + wr)*inverse(k)))
+      t = max(0.0_wp, min(1.0_wp, (vw*s - vr)/vv))
+      t_edge(k) = t
+      square_edge(k) = (r1 + t*v(1) - s*side(k, 1))**2 + (r2 + t*v(2) - s*side(k, 2))**2 + (r3 + t*v(3) - s*side(k, 3))**2
+      t = max(0.0_wp, min(1.0_wp, -vr/vv))
+      t_corner(k) = t
+      square_corner(k) = (r1 + t*v(1))**2 + (r2 + t*v(2))**2 + (r3 + t*v(3))**2
+    end do
+  end subroutine edge
+
+  !> Take a nearer place, or widen the piece that is equally near.
+  pure subroutine offer(t, distance, found)
+    real(wp), intent(in) :: t, distance
+    type(found_t), intent(inout) :: found
+    if (distance > found%least + found%tie) return
+    if (distance < found%least - found%tie) then
+      found%first = t
+      found%last = t
+    else
+      found%first = min(found%first, t)
+      found%last = max(found%last, t)
+    end if
+    found%least = min(found%least, distance)
+  end subroutine offer
+
+  !> First fraction of the way from p0 to p1 at which the signed distance is `limit` or less, 2 if
+  !> there is none: each step goes as far as the distance lets it without passing anything.
+  pure subroutine mesh_sweep(mesh, p0, p1, limit, fraction)
+    type(mesh_t), intent(in) :: mesh
+    real(wp), intent(in) :: p0(3), p1(3), limit
+    real(wp), intent(out) :: fraction
+    real(wp) :: v(3), length, t, d, g(3), nearest(1), least(1), normal(3, 1)
+    integer :: facet, k
+    fraction = 2.0_wp
+    call mesh_segments(mesh, limit, 1, p0, p1, nearest, least, normal)
+    if (least(1) > limit) return
+    v = p1 - p0
+    length = sqrt(v(1)*v(1) + v(2)*v(2) + v(3)*v(3))
+    fraction = 0.0_wp
+    t = 0.0_wp
+    call lower_bound_of_distance(mesh, p0, d, facet)
+    do k = 1, most_steps
+      call mesh_point(mesh, p0 + fraction*v, facet, d, g)
+      if (d <= limit + sweep_ratio*mesh%extent) return
+      t = fraction + (d - limit)/length
+      if (t > nearest(1) .or. t <= fraction) exit
+      fraction = t
+    end do
+    ! A grazing way: the steps have become shorter than any use, or passed the nearest point by rounding.
+    if (t > nearest(1)) fraction = nearest(1)
+  end subroutine mesh_sweep
+
+end module castnet_mesh_segment
