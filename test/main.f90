@@ -25,6 +25,7 @@ program main
   use testing, only: finish
   use verify_catenary, only: run_verify_catenary
   use verify_chain, only: run_verify_chain
+  use verify_closing, only: run_verify_closing
   use verify_contact, only: run_verify_contact
   use verify_environment, only: run_verify_environment
   use verify_free_shot, only: run_verify_free_shot
@@ -56,6 +57,7 @@ program main
   call run_test_threads()
   call run_verify_catenary()
   call run_verify_chain()
+  call run_verify_closing()
   call run_verify_contact()
   call run_verify_environment()
   call run_verify_free_shot()

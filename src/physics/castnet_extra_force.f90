@@ -2,6 +2,7 @@
 !> A scene without either never comes here.
 module castnet_extra_force
   use castnet_kinds, only: wp
+  use castnet_closing_thread, only: add_thread_force
   use castnet_model, only: model_t, law_impulse
   use castnet_state, only: body_state_t, closing_state_t
   implicit none
@@ -18,7 +19,8 @@ contains
   end function has_extra_force
 
   !> All extra forces at one stage.
-  subroutine gather_extra_force(model, n_pad, x, v, body, closing, force, body_force, body_torque)
+  subroutine gather_extra_force(model, n_pad, x, v, body, closing, force, body_force, body_torque, &
+                                share, thread_impulse)
     type(model_t), intent(in) :: model
     integer, intent(in) :: n_pad
     real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)    !! [m], [m/s]
@@ -27,10 +29,14 @@ contains
     real(wp), intent(out) :: force(n_pad, 3)            !! on the nodes [N]
     real(wp), intent(out) :: body_force(3)              !! on the target, inertial [N]
     real(wp), intent(out) :: body_torque(3)             !! on the target, body axes [N m]
+    real(wp), intent(in) :: share                       !! of the step that this stage stands for [s]
+    real(wp), allocatable, intent(inout) :: thread_impulse(:, :) !! (n_pad,3) grows by share x thread force; with &closing [N s]
 
     force = 0.0_wp
     body_force = 0.0_wp
     body_torque = 0.0_wp
+    if (allocated(model%closing)) &
+      call add_thread_force(model%closing, closing, n_pad, x, v, force, share, thread_impulse)
   end subroutine gather_extra_force
 
 end module castnet_extra_force

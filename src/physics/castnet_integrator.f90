@@ -10,6 +10,7 @@ module castnet_integrator
   use castnet_body_dynamics, only: body_rate_t, body_rate, body_advance, body_rk4, body_kick, orbital_acceleration
   use castnet_cable_force, only: slab_t, chunk_size, new_slabs, slab_halo, chunk_cables, chunk_force, &
                                  loose_cables, sum_in_order
+  use castnet_closing_thread, only: impulse_work
   use castnet_extra_force, only: has_extra_force, gather_extra_force
   implicit none
   private
@@ -22,6 +23,7 @@ module castnet_integrator
     real(wp), allocatable :: loose_power(:)        !! (n_loose) [W]
     real(wp), allocatable :: chunk_power(:)        !! (n_chunk) [W]
     real(wp), allocatable :: weight(:)             !! (n_pad) 1/mass; 1 where a field has already divided [1/kg]
+    real(wp), allocatable :: thread_impulse(:, :)  !! (n_pad,3) of the closing threads over a step, only with them [N s]
     real(wp), allocatable :: extra(:, :)           !! (n_pad,3) forces besides cables, only where a scene has some [N]
   end type cable_work_t
 
@@ -61,6 +63,7 @@ contains
     work%cables%weight = model%net%inverse_mass
     if (any(model%gravity /= 0.0_wp) .or. model%orbit_rate /= 0.0_wp) work%cables%weight = 1.0_wp
     if (has_extra_force(model)) allocate (work%cables%extra(n, 3), source=0.0_wp)
+    if (allocated(model%closing)) allocate (work%cables%thread_impulse(n, 3), source=0.0_wp)
     allocate (work%xa(n, 3), work%va(n, 3), work%xb(n, 3), work%vb(n, 3), source=0.0_wp)
     allocate (work%sum_x(n, 3), work%sum_v(n, 3), source=0.0_wp)
   end subroutine new_flow_work
@@ -83,30 +86,32 @@ contains
     n = 0
     if (has_net) n = model%net%n_pad
     if (allocated(state%target)) body = state%target
+    if (allocated(work%cables%thread_impulse)) work%cables%thread_impulse = 0.0_wp
 
     if (allocated(work%cables%extra)) call gather_extra_force(model, n, state%node_position, state%node_velocity, &
-        body, state%closing, work%cables%extra, work%body_force, work%body_torque)
+        body, state%closing, work%cables%extra, work%body_force, work%body_torque, h/6.0_wp, work%cables%thread_impulse)
     if (moves) k(1) = body_rate(model, body, work%body_force, work%body_torque)
     if (has_net) call sweep(model, work%cables, stage_first, n, 0.5_wp*h, state%node_position, state%node_velocity, &
         work%xb, work%vb, work%xa, work%va, work%sum_x, work%sum_v, power(1))
 
     if (moves) body = body_advance(state%target, k(1), 0.5_wp*h)
     if (allocated(work%cables%extra)) call gather_extra_force(model, n, work%xa, work%va, &
-        body, state%closing, work%cables%extra, work%body_force, work%body_torque)
+        body, state%closing, work%cables%extra, work%body_force, work%body_torque, h/3.0_wp, work%cables%thread_impulse)
     if (moves) k(2) = body_rate(model, body, work%body_force, work%body_torque)
     if (has_net) call sweep(model, work%cables, stage_middle, n, 0.5_wp*h, work%xa, work%va, &
         state%node_position, state%node_velocity, work%xb, work%vb, work%sum_x, work%sum_v, power(2))
 
     if (moves) body = body_advance(state%target, k(2), 0.5_wp*h)
     if (allocated(work%cables%extra)) call gather_extra_force(model, n, work%xb, work%vb, &
-        body, state%closing, work%cables%extra, work%body_force, work%body_torque)
+        body, state%closing, work%cables%extra, work%body_force, work%body_torque, h/3.0_wp, work%cables%thread_impulse)
     if (moves) k(3) = body_rate(model, body, work%body_force, work%body_torque)
     if (has_net) call sweep(model, work%cables, stage_middle, n, h, work%xb, work%vb, &
         state%node_position, state%node_velocity, work%xa, work%va, work%sum_x, work%sum_v, power(3))
 
     if (moves) body = body_advance(state%target, k(3), h)
     if (allocated(work%cables%extra)) call gather_extra_force(model, n, work%xa, work%va, &
-        body, state%closing, work%cables%extra, work%body_force, work%body_torque)
+        body, state%closing, work%cables%extra, work%body_force, work%body_torque, h/6.0_wp, work%cables%thread_impulse)
+    call credit_winch(work%cables, state)
     if (moves) then
       k(4) = body_rate(model, body, work%body_force, work%body_torque)
       state%ledger%external_work = state%ledger%external_work + torque_work(model, state%target, k(1), k(2), k(3), h)
@@ -114,6 +119,7 @@ contains
     end if
     if (has_net) call sweep(model, work%cables, stage_last, n, h/6.0_wp, work%xa, work%va, &
         state%node_position, state%node_velocity, work%xb, work%vb, work%sum_x, work%sum_v, power(4))
+    call credit_winch(work%cables, state)
     if (has_net) state%ledger%dissipated = state%ledger%dissipated &
         + h/6.0_wp*((power(1) + 2.0_wp*(power(2) + power(3))) + power(4))
     state%force_evaluations = state%force_evaluations + 4
@@ -149,14 +155,17 @@ contains
       n = model%net%n_pad
       if (.not. work%midpoint_ready) work%xa = state%node_position + (0.5_wp*h)*state%node_velocity
       if (coupled) then
+        if (allocated(work%cables%thread_impulse)) work%cables%thread_impulse = 0.0_wp
         if (allocated(state%target)) body = state%target
         if (moves) call body_flow(model, body, 0.5_wp*h, state%ledger%external_work)
         call gather_extra_force(model, n, work%xa, state%velocity_ahead, body, state%closing, &
-                                work%cables%extra, work%body_force, work%body_torque)
+                                work%cables%extra, work%body_force, work%body_torque, h, work%cables%thread_impulse)
+        call credit_winch(work%cables, state)
       end if
       call sweep(model, work%cables, stage_kick, n, h, work%xa, state%velocity_ahead, &
                  state%node_position, state%node_velocity, work%xb, work%vb, work%sum_x, work%sum_v, power)
       state%ledger%dissipated = state%ledger%dissipated + h*power
+      call credit_winch(work%cables, state)
       call swap(work%xa, work%xb)    ! xa: the next midpoint, xb: this one
       call swap(state%velocity_ahead, work%vb)
       work%midpoint_ready = .true.
@@ -192,6 +201,16 @@ contains
     state%velocity_ahead = state%velocity_ahead + (state%node_velocity - before)
     work%midpoint_ready = .false.
   end subroutine midpoint_disturbed
+
+  !> Half of the work of the threads' impulse at this velocity: called before and after
+  !> the velocities move.
+  subroutine credit_winch(cables, state)
+    type(cable_work_t), intent(in) :: cables
+    type(state_t), intent(inout) :: state
+    if (.not. allocated(cables%thread_impulse)) return
+    state%ledger%winch_work = state%ledger%winch_work &
+                              + impulse_work(size(state%node_velocity, 1), cables%thread_impulse, state%node_velocity)
+  end subroutine credit_winch
 
   subroutine swap(a, b)
     real(wp), allocatable, intent(inout) :: a(:, :), b(:, :)

@@ -9,11 +9,12 @@
 !> at most that frequency and that damping rate.
 module castnet_stable_step
   use castnet_kinds, only: wp
-  use castnet_model, only: model_t, method_rk4, method_midpoint, method_adaptive
+  use castnet_closing_thread, only: thread_weight
+  use castnet_model, only: closing_t, method_rk4, method_midpoint, method_adaptive
   use castnet_net, only: net_t
   implicit none
   private
-  public :: spectrum_t, net_spectrum, largest_stable_step, amplification
+  public :: spectrum_t, net_spectrum, widen_by_thread, largest_stable_step, amplification
 
   !> Bounds of the taut net's modes.
   type :: spectrum_t
@@ -53,6 +54,21 @@ contains
     spectrum%highest_frequency = sqrt(largest_eigenvalue(net, direction, weight))
     if (any(net%damping > 0.0_wp)) spectrum%largest_damping_rate = largest_eigenvalue(net, direction, net%damping)
   end subroutine net_spectrum
+
+  !> The same bounds with the closing threads pulling: each adds k_t g g^T to K and
+  !> c_t g g^T to C, which couples all nodes of a side. Largest eigenvalues of sums are at
+  !> most the sums of largest eigenvalues. Left out: the stiffness T/l across a taut piece
+  !> of length l, which has no bound where nodes meet; measured on the rocket's net, the
+  !> damping's share sets the limit.
+  subroutine widen_by_thread(spectrum, closing, net)
+    type(spectrum_t), intent(inout) :: spectrum
+    type(closing_t), intent(in) :: closing
+    type(net_t), intent(in) :: net
+    real(wp) :: weight
+    weight = thread_weight(closing, net)
+    spectrum%highest_frequency = sqrt(spectrum%highest_frequency**2 + closing%stiffness*weight)
+    spectrum%largest_damping_rate = spectrum%largest_damping_rate + closing%damping*weight
+  end subroutine widen_by_thread
 
   !> Largest eigenvalue of M^-1/2 (sum w n n^T) M^-1/2 by Lanczos, widened.
   real(wp) function largest_eigenvalue(net, direction, weight) result(largest)

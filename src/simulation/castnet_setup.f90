@@ -1,12 +1,13 @@
 !> From a scene to a run that is ready to step: model, state, scratch and the step.
 module castnet_setup
   use castnet_kinds, only: wp
+  use castnet_closing_thread, only: update_closing
   use castnet_error, only: error_t, fail, exit_input
   use castnet_integrator, only: midpoint_begin
   use castnet_model, only: model_t, method_midpoint
   use castnet_model_builder, only: file_net_t, build_model
   use castnet_scene, only: scene_t
-  use castnet_stable_step, only: spectrum_t, net_spectrum, largest_stable_step
+  use castnet_stable_step, only: spectrum_t, net_spectrum, widen_by_thread, largest_stable_step
   use castnet_state, only: state_t
   use castnet_stepper, only: work_t, new_work
   use castnet_text, only: to_text
@@ -48,6 +49,7 @@ contains
     model%step = report%step
     call new_work(work, model, n_thread)
     if (model%method == method_midpoint) call midpoint_begin(state)
+    if (allocated(model%closing)) call update_closing(model, state, 0.0_wp)
     allocate (state%measures(size(scene%output%verdict_times)))
   end subroutine set_up
 
@@ -59,8 +61,10 @@ contains
     type(state_t), intent(in) :: state
     type(step_report_t), intent(out) :: report
     type(error_t), allocatable, intent(inout) :: error
-    real(wp) :: spin
+    real(wp) :: spin, net_limit
+    character(len=:), allocatable :: thread
 
+    thread = ''
     if (allocated(model%net)) then
       if (scene%net%kind == 'square') then
         call net_spectrum(model%net, report%spectrum, state%node_position)
@@ -68,6 +72,12 @@ contains
         call net_spectrum(model%net, report%spectrum)
       end if
       report%stable_limit = largest_stable_step(model%method, report%spectrum)
+      if (allocated(model%closing)) then
+        net_limit = report%stable_limit
+        call widen_by_thread(report%spectrum, model%closing, model%net)
+        report%stable_limit = largest_stable_step(model%method, report%spectrum)
+        thread = ' with its closing thread (without it '//to_text(net_limit)//' s)'
+      end if
     end if
 
     if (scene%time%step > 0.0_wp) then
@@ -77,7 +87,7 @@ contains
       report%unstable = .true.
       if (scene%time%allow_unstable) return
       call fail(error, exit_input, 'time/step: '//to_text(scene%time%step)//' s is above the stability limit of '// &
-                trim(scene%time%method)//' on this net, '//to_text(report%stable_limit)//' s (highest frequency '// &
+                trim(scene%time%method)//' on this net'//thread//', '//to_text(report%stable_limit)//' s (highest frequency '// &
                 to_text(report%spectrum%highest_frequency)//' rad/s, largest damping rate '// &
                 to_text(report%spectrum%largest_damping_rate)//' 1/s); give step = 0 to have one chosen, or '// &
                 'allow_unstable = .true. to be warned only')

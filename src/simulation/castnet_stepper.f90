@@ -2,6 +2,7 @@
 !> apply their impulses, run the closing thread.
 module castnet_stepper
   use castnet_kinds, only: wp, i8
+  use castnet_closing_thread, only: update_closing
   use castnet_error, only: error_t
   use castnet_contact_event, only: contact_work_t, new_contact_work, handle_contacts
   use castnet_external_work, only: has_net_field, has_external_potential, external_potential
@@ -76,6 +77,10 @@ contains
     state%time = real(state%step, wp)*model%step
     if (work%timings%wanted) call system_clock(moved)
     if (allocated(model%contact)) call meet(model, state, work, error)
+    if (allocated(model%closing)) then
+      call settle(model, state, work)
+      call update_closing(model, state, model%step)
+    end if
     if (.not. work%timings%wanted) return
     call system_clock(met)
     work%timings%flow = work%timings%flow + (moved - began)
