@@ -19,7 +19,7 @@ module castnet_scene_schema
   character(len=*), parameter :: pending_shapes = 'mesh'
   character(len=*), parameter :: pending_methods = 'midpoint adaptive'
   logical, parameter :: pending_friction = .false.
-  logical, parameter :: pending_closing = .true.
+  logical, parameter :: pending_closing = .false.
   logical, parameter :: pending_orbit = .true.
 
   character(len=*), parameter :: scene_groups = &
