@@ -15,15 +15,15 @@ module castnet_run_writer
   use castnet_state, only: state_t, schedule_t
   use castnet_record, only: history_row_t, summary_t
   use castnet_text, only: to_text, byte_text, folder_of
-  use castnet_posix, only: reserve_space, release_space, sync_path, rename_file, remove_file, free_space, &
-                           time_stamp, host_name, file_failure, path_kind, path_file
-  use castnet_hdf5_file, only: hdf5_file_t, location_t, create_hdf5, open_hdf5, close_file, flush_file, file_bytes, &
-                               make_group, open_group, close_group, delete_entry, has_entry, write_text, write_value, &
-                               write_array, make_scale, attach_scales, kind_double
+  use castnet_posix, only: reserve_space, release_space, sync_path, rename_file, remove_file, free_space, file_failure
+  use castnet_hdf5_file, only: hdf5_file_t, create_hdf5, open_hdf5, close_file, flush_file, file_bytes, delete_entry, &
+                               has_entry, write_array, make_scale, attach_scales, kind_double
   use castnet_hdf5_series, only: series_t, create_series, open_series, append_frames, truncate_series, close_series, &
                                  growth_bytes
-  use castnet_hdf5_reader, only: dataset_t, ask_dataset, read_longs, read_text, class_integer
+  use castnet_hdf5_reader, only: dataset_t, ask_dataset, read_text
   use castnet_restart_check, only: check_same_scene
+  use castnet_static_writer, only: write_static
+  use castnet_meta_writer, only: run_info_t, write_meta, continue_meta, replace_first_counts, first_count, end_meta
   use castnet_history_writer, only: history_writer_t, create_history, reopen_history, store_row, is_block_full, &
                                     waiting_rows, write_rows, history_growth, close_history
   use castnet_summary_writer, only: write_summary
@@ -46,19 +46,6 @@ module castnet_run_writer
     'node_velocity', 'cable_tension', 'target_position', 'target_velocity', 'target_attitude', 'target_angular_velocity']
   character(len=*), parameter :: series_units(n_series) = [character(len=7) :: 's', 'm', 'm s-1', 'N', 'm', 'm s-1', &
     '1', 'rad s-1']
-
-  !> What /meta says about how the file came to be, and what is known of the run ahead.
-  type :: run_info_t
-    character(len=:), allocatable :: version, compiler, flags
-    integer :: threads = 1
-    logical :: vtk = .true.
-    character(len=:), allocatable :: checkpoint   !! that this run goes on from; not allocated: from t = 0
-    integer(i8) :: step = 0                       !! steps taken when it starts
-    real(wp) :: time = 0.0_wp                     !! and the time [s]
-    type(schedule_t) :: schedule                  !! and what has been put out by then
-    integer(i8) :: expected_frames = 0            !! 0: not known
-    integer(i8) :: expected_rows = 0
-  end type run_info_t
 
   type :: run_writer_t
     private
@@ -96,8 +83,8 @@ contains
     call create_frames(writer, error)
     allocate (writer%history)
     call create_history(writer%history, writer%file, error)
-    call write_static(writer, model, error)
-    call write_meta(writer, scene_text, effective_text, model, info, error)
+    call write_static(writer%file, model, writer%surface, error)
+    call write_meta(writer%file, scene_text, effective_text, model, info, writer%session, error)
     if (info%vtk) then
       allocate (writer%vtk)
       call create_vtkhdf(writer%vtk, writer%file, model, writer%surface, error)
@@ -136,8 +123,8 @@ contains
       error%message = error%message//'; go on into a new file with --output'
       return
     end if
-    frames = info%schedule%frames - first_count(writer, '/meta/first_frame', error)
-    rows = info%schedule%rows - first_count(writer, '/meta/first_row', error)
+    frames = info%schedule%frames - first_count(writer%file, '/meta/first_frame', error)
+    rows = info%schedule%rows - first_count(writer%file, '/meta/first_row', error)
     call check_same_scene(read_text(writer%file, '/meta/effective_scene'), effective_text, writer%part, error)
     call check_frames(writer, frames, rows, error)
     if (allocated(error)) then
@@ -156,8 +143,9 @@ contains
       call reopen_vtkhdf(writer%vtk, writer%file, model, writer%surface, frames, error)
     end if
     if (has_entry(writer%file%root, 'summary')) call delete_entry(writer%file, writer%file%root, 'summary', error)
-    call continue_meta(writer, info, error)
-    if (present(onward)) call replace_first_counts(writer, onward%frames - frames, onward%rows - rows, error)
+    call continue_meta(writer%file, info, writer%session, error)
+    if (present(onward)) &
+      call replace_first_counts(writer%file, onward%frames - frames, onward%rows - rows, error)
     call flush_file(writer%file, error)
     call check_room(writer, info, error)
     if (allocated(error)) call close_quietly(writer)
@@ -250,209 +238,6 @@ contains
 
   end subroutine create_frames
 
-  !> /static: the net's topology and material, the target's mass and surface.
-  subroutine write_static(writer, model, error)
-    type(run_writer_t), intent(inout) :: writer
-    type(model_t), intent(in) :: model
-    type(error_t), allocatable, intent(inout) :: error
-    type(location_t) :: group
-    call make_group(writer%file, writer%file%root, 'static', group, error)
-    if (writer%n_node > 0) call write_static_net(writer, model, group, error)
-    if (allocated(model%target)) call write_static_target(writer, model, group, error)
-    call close_group(writer%file, group)
-  end subroutine write_static
-
-  subroutine write_static_net(writer, model, group, error)
-    type(run_writer_t), intent(inout) :: writer
-    type(model_t), intent(in) :: model
-    type(location_t), intent(in) :: group
-    type(error_t), allocatable, intent(inout) :: error
-    associate (file => writer%file, net => model%net)
-      call write_array(file, group, 'node_mass', net%node_mass, 'kg', error)
-      call attach_scales(file, group, 'node_mass', ['/node'], error)
-      call write_array(file, group, 'fixed', merge(1_i4, 0_i4, net%fixed), '1', error)
-      call attach_scales(file, group, 'fixed', ['/node'], error)
-      if (writer%n_cable > 0) then
-        call dimension_of(file, group, 'end', 2, error)
-        call write_array(file, group, 'cable_nodes', net%cable_nodes - 1, '1', error)
-        call attach_scales(file, group, 'cable_nodes', [character(len=6) :: 'end', '/cable'], error)
-        call write_array(file, group, 'natural_length', net%natural_length, 'm', error)
-        call attach_scales(file, group, 'natural_length', ['/cable'], error)
-        call write_array(file, group, 'axial_stiffness', net%axial_stiffness, 'N', error)
-        call attach_scales(file, group, 'axial_stiffness', ['/cable'], error)
-        call write_array(file, group, 'damping', net%damping, 'N s m-1', error)
-        call attach_scales(file, group, 'damping', ['/cable'], error)
-      end if
-      if (allocated(net%bullet_nodes)) call write_nodes('bullet_nodes', 'bullet', net%bullet_nodes)
-      if (allocated(net%perimeter_nodes)) call write_nodes('perimeter_nodes', 'perimeter', net%perimeter_nodes)
-      if (allocated(net%corner_nodes)) call write_nodes('corner_nodes', 'net_corner', net%corner_nodes)
-      if (allocated(net%faces)) then
-        if (size(net%faces) > 0) then
-          call dimension_of(file, group, 'face', size(net%faces, 2), error)
-          call dimension_of(file, group, 'face_corner', 4, error)
-          call write_array(file, group, 'faces', net%faces - 1, '1', error)
-          call attach_scales(file, group, 'faces', [character(len=11) :: 'face_corner', 'face'], error)
-        end if
-      end if
-    end associate
-
-  contains
-
-    !> A list of nodes along a dimension of its own.
-    subroutine write_nodes(name, along, nodes)
-      character(len=*), intent(in) :: name, along
-      integer, intent(in) :: nodes(:)
-      if (size(nodes) == 0) return
-      call dimension_of(writer%file, group, along, size(nodes), error)
-      call write_array(writer%file, group, name, nodes - 1, '1', error)
-      call attach_scales(writer%file, group, name, [along], error)
-    end subroutine write_nodes
-
-  end subroutine write_static_net
-
-  subroutine write_static_target(writer, model, group, error)
-    type(run_writer_t), intent(inout) :: writer
-    type(model_t), intent(in) :: model
-    type(location_t), intent(in) :: group
-    type(error_t), allocatable, intent(inout) :: error
-    associate (file => writer%file, target => model%target)
-      call write_value(file, group, 'target_mass', target%mass, 'kg', error)
-      call write_value(file, group, 'target_fixed', merge(1_i4, 0_i4, target%fixed), '1', error)
-      call dimension_of(file, group, 'column', 3, error)
-      call write_array(file, group, 'target_inertia', target%inertia, 'kg m2', error)
-      call attach_scales(file, group, 'target_inertia', [character(len=6) :: 'column', '/xyz'], error)
-      if (.not. allocated(writer%surface)) return
-      if (.not. allocated(writer%surface%vertex)) return
-      call dimension_of(file, group, 'target_vertex', size(writer%surface%vertex, 2), error)
-      call write_array(file, group, 'target_vertices', writer%surface%vertex, 'm', error)
-      call attach_scales(file, group, 'target_vertices', [character(len=13) :: '/xyz', 'target_vertex'], error)
-      if (size(writer%surface%triangle) == 0) return
-      call dimension_of(file, group, 'target_triangle', size(writer%surface%triangle, 2), error)
-      call dimension_of(file, group, 'triangle_corner', 3, error)
-      call write_array(file, group, 'target_triangles', writer%surface%triangle - 1, '1', error)
-      call attach_scales(file, group, 'target_triangles', ['triangle_corner', 'target_triangle'], error)
-    end associate
-  end subroutine write_static_target
-
-  !> A dimension scale that only counts: 0, 1, 2 ...
-  subroutine dimension_of(file, group, name, n, error)
-    type(hdf5_file_t), intent(inout) :: file
-    type(location_t), intent(in) :: group
-    character(len=*), intent(in) :: name
-    integer, intent(in) :: n
-    type(error_t), allocatable, intent(inout) :: error
-    integer :: i
-    call write_array(file, group, name, [(int(i, i4), i=0, n - 1)], '1', error)
-    call make_scale(file, group, name, error)
-  end subroutine dimension_of
-
-  ! ---- /meta ------------------------------------------------------------------------
-
-  !> Everything that is needed to repeat the run.
-  subroutine write_meta(writer, scene_text, effective_text, model, info, error)
-    type(run_writer_t), intent(inout) :: writer
-    character(len=*), intent(in) :: scene_text, effective_text
-    type(model_t), intent(in) :: model
-    type(run_info_t), intent(in) :: info
-    type(error_t), allocatable, intent(inout) :: error
-    type(location_t) :: meta, sessions
-    associate (file => writer%file)
-      call make_group(file, file%root, 'meta', meta, error)
-      call write_text(file, meta, 'scene', scene_text, error)
-      call write_text(file, meta, 'effective_scene', effective_text, error)
-      call write_text(file, meta, 'version', known(info%version), error)
-      call write_text(file, meta, 'compiler', known(info%compiler), error)
-      call write_text(file, meta, 'flags', known(info%flags), error)
-      call write_value(file, meta, 'threads', int(info%threads, i4), '1', error)
-      call write_value(file, meta, 'step', model%step, 's', error)
-      call write_value(file, meta, 'first_frame', info%schedule%frames, '1', error)
-      call write_value(file, meta, 'first_row', info%schedule%rows, '1', error)
-      call write_text(file, meta, 'start', time_stamp(), error)
-      call write_text(file, meta, 'end', '', error)
-      call write_text(file, meta, 'status', 'running', error)
-      call make_group(file, meta, 'sessions', sessions, error)
-      call start_session(writer, sessions, info, error)
-      call close_group(file, sessions)
-      call close_group(file, meta)
-    end associate
-  end subroutine write_meta
-
-  !> A restart: one session more, and the run goes on.
-  subroutine continue_meta(writer, info, error)
-    type(run_writer_t), intent(inout) :: writer
-    type(run_info_t), intent(in) :: info
-    type(error_t), allocatable, intent(inout) :: error
-    type(location_t) :: meta, sessions
-    associate (file => writer%file)
-      call open_group(file, file%root, 'meta', meta, error)
-      call replace_text(writer, meta, 'status', 'running', error)
-      call replace_text(writer, meta, 'end', '', error)
-      call open_group(file, meta, 'sessions', sessions, error)
-      call start_session(writer, sessions, info, error)
-      call close_group(file, sessions)
-      call close_group(file, meta)
-    end associate
-  end subroutine continue_meta
-
-  !> The schedule's counts at the file's first frame and row.
-  subroutine replace_first_counts(writer, frame, row, error)
-    type(run_writer_t), intent(inout) :: writer
-    integer(i8), intent(in) :: frame, row
-    type(error_t), allocatable, intent(inout) :: error
-    type(location_t) :: meta
-    call open_group(writer%file, writer%file%root, 'meta', meta, error)
-    call delete_entry(writer%file, meta, 'first_frame', error)
-    call write_value(writer%file, meta, 'first_frame', frame, '1', error)
-    call delete_entry(writer%file, meta, 'first_row', error)
-    call write_value(writer%file, meta, 'first_row', row, '1', error)
-    call close_group(writer%file, meta)
-  end subroutine replace_first_counts
-
-  !> One process's share of the run: the lineage of restarts, numbered from 1.
-  subroutine start_session(writer, sessions, info, error)
-    type(run_writer_t), intent(inout) :: writer
-    type(location_t), intent(in) :: sessions
-    type(run_info_t), intent(in) :: info
-    type(error_t), allocatable, intent(inout) :: error
-    type(location_t) :: session
-    integer :: number
-    if (writer%file%broken) return
-    number = 1
-    do while (has_entry(sessions, to_text(number)))
-      number = number + 1
-    end do
-    writer%session = to_text(number)
-    associate (file => writer%file)
-      call make_group(file, sessions, writer%session, session, error)
-      call write_text(file, session, 'start', time_stamp(), error)
-      call write_text(file, session, 'host', host_name(), error)
-      call write_text(file, session, 'version', known(info%version), error)
-      call write_text(file, session, 'compiler', known(info%compiler), error)
-      call write_text(file, session, 'flags', known(info%flags), error)
-      call write_value(file, session, 'threads', int(info%threads, i4), '1', error)
-      call write_text(file, session, 'checkpoint', known(info%checkpoint), error)
-      call write_value(file, session, 'from_step', info%step, '1', error)
-      call write_value(file, session, 'from_time', info%time, 's', error)
-      call close_group(file, session)
-    end associate
-  end subroutine start_session
-
-  function known(text) result(words)
-    character(len=:), allocatable, intent(in) :: text
-    character(len=:), allocatable :: words
-    words = ''
-    if (allocated(text)) words = text
-  end function known
-
-  subroutine replace_text(writer, group, name, text, error)
-    type(run_writer_t), intent(inout) :: writer
-    type(location_t), intent(in) :: group
-    character(len=*), intent(in) :: name, text
-    type(error_t), allocatable, intent(inout) :: error
-    call delete_entry(writer%file, group, name, error)
-    call write_text(writer%file, group, name, text, error)
-  end subroutine replace_text
-
   ! ---- checks before the first step -----------------------------------------------
 
   !> Refuse at the start what would run into a full disk later, as far as it can be known.
@@ -470,25 +255,6 @@ contains
               byte_text(real(needed, wp))//', '//byte_text(real(left, wp))// &
               ' are free; free disk space, choose another folder with --output or a longer output/frame_interval')
   end subroutine check_room
-
-  !> A count that stands in /meta.
-  integer(i8) function first_count(writer, path, error)
-    type(run_writer_t), intent(inout) :: writer
-    character(len=*), intent(in) :: path
-    type(error_t), allocatable, intent(inout) :: error
-    type(dataset_t) :: found
-    integer(i8), allocatable :: value(:)
-    first_count = 0
-    if (allocated(error)) return
-    found = ask_dataset(writer%file, path)
-    if (found%class == class_integer .and. found%n_value == 1) then
-      call read_longs(writer%file, path, 1_i8, value, error)
-      if (.not. allocated(error)) first_count = value(1)
-    else
-      call fail(error, exit_file, "'"//writer%part//"' is not a run of castnet that can be continued: no "//path// &
-                '; go on into a new file with --output')
-    end if
-  end function first_count
 
   !> Do the series reach as far as the checkpoint, and are they of this net?
   subroutine check_frames(writer, frames, rows, error)
@@ -633,7 +399,7 @@ contains
     call reserve(writer, 0_i8, problem)
     if (.not. allocated(problem)) then
       call write_summary(writer%file, summary, problem)
-      call end_meta(writer, status, problem)
+      call end_meta(writer%file, writer%session, status, problem)
     end if
     if (allocated(problem) .and. .not. allocated(error)) call move_alloc(problem, error)
     call close_everything(writer, error)
@@ -645,21 +411,6 @@ contains
                                        'the file is complete: rename it yourself')
     number = sync_path(folder_of(writer%path)//'.')
   end subroutine close_run
-
-  subroutine end_meta(writer, status, error)
-    type(run_writer_t), intent(inout) :: writer
-    character(len=*), intent(in) :: status
-    type(error_t), allocatable, intent(inout) :: error
-    type(location_t) :: meta, session
-    call open_group(writer%file, writer%file%root, 'meta', meta, error)
-    call replace_text(writer, meta, 'status', status, error)
-    call replace_text(writer, meta, 'end', time_stamp(), error)
-    call open_group(writer%file, meta, 'sessions/'//writer%session, session, error)
-    call write_text(writer%file, session, 'end', time_stamp(), error)
-    call write_text(writer%file, session, 'status', status, error)
-    call close_group(writer%file, session)
-    call close_group(writer%file, meta)
-  end subroutine end_meta
 
   subroutine close_everything(writer, error)
     type(run_writer_t), intent(inout) :: writer
