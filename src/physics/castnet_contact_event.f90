@@ -7,11 +7,11 @@ module castnet_contact_event
   use castnet_state, only: state_t, impulse_bins, impulse_bin_low, impulse_bins_per_decade
   use castnet_rotation, only: rotation_matrix, congruent, multiply, multiply_transposed, &
                               quaternion_product, quaternion_from_rotation_vector, normalise_quaternion
-  use castnet_shape, only: shape_bounds, shape_bounding_radius, signed_distance
+  use castnet_shape, only: shape_bounds, shape_bounding_radius, signed_distance, segment_distance
   use castnet_contact_list, only: contact_list_t, body_inertia_t, impulse_report_t, reserve_contacts, lane
   use castnet_broad_phase, only: net_box, boxes_apart, into_body_axes
-  use castnet_narrow_phase, only: candidates_t, reserve_candidates, select_candidates, measure_gaps, &
-                                  append_node_contacts, set_velocities
+  use castnet_near_list, only: near_list_t, reserve_near, rebuild_near, largest_move
+  use castnet_narrow_phase, only: append_nodes, append_cables, set_velocities, mend_normal
   use castnet_contact_response, only: contact_solver_t, reserve_solver, resolve_contacts, resolve_depths
   use castnet_contact_projection, only: cable_incidence_t, new_incidence, energy_of_moved_cables, move_nodes
   use castnet_contact_horizon, only: earliest_contact_time
@@ -23,20 +23,24 @@ module castnet_contact_event
   !> a counter of ours, so that a restarted run is the same.
   integer(i8), parameter :: horizon_stride = 16
   integer, parameter :: max_projection = 4
+  !> Skin of the near list in contact thresholds: wide enough to be rebuilt once in some
+  !> hundred steps, narrow enough to hold few.
+  real(wp), parameter :: skin_thresholds = 8.0_wp
   !> Depth that is left after a projection and not worth another one, of the threshold [-].
   real(wp), parameter :: projection_tolerance = 1.0e-6_wp
 
   !> Scratch of contact handling, allocated once.
   type :: contact_work_t
     logical :: acted = .false.                 !! the last call changed velocities or positions
-    logical :: near = .false.                  !! the last call had candidates; saves the box test
+    logical :: engaged = .false.               !! something was near at the last call; saves the box test
     type(contact_list_t) :: list
-    type(candidates_t) :: candidates
+    type(near_list_t) :: near
     type(contact_solver_t) :: solver
     type(cable_incidence_t) :: incidence
     type(impulse_report_t) :: report
     real(wp), allocatable :: y(:, :)           !! (n_pad,3) nodes in body axes [m]
     real(wp), allocatable :: outside(:)        !! (n_pad) of the body's box [m]
+    real(wp), allocatable :: node_gap(:)       !! (n_pad) scratch of the narrow phase [m]
     real(wp) :: middle(3) = 0.0_wp             !! of the body's box, body axes [m]
     real(wp) :: half(3) = 0.0_wp               !! its half edges [m]
     real(wp) :: radius = 0.0_wp                !! the body's bounding radius [m]
@@ -50,11 +54,12 @@ contains
     type(model_t), intent(in) :: model
     real(wp) :: lower(3), upper(3)
     if (.not. is_modelled(model)) return
-    call reserve_contacts(work%list, model%net%n_node)
-    call reserve_solver(work%solver, work%list, model%contact%friction)
-    call reserve_candidates(work%candidates, model%net%n_node)
+    call reserve_contacts(work%list, model%net%n_node + merge(model%net%n_cable, 0, model%contact%detect_cables))
+    call reserve_solver(work%solver, work%list, model%net%n_node, model%contact)
+    call reserve_near(work%near, model%net, model%contact%detect_cables, skin_thresholds*model%contact%threshold)
     call new_incidence(work%incidence, model%net)
     allocate (work%y(model%net%n_pad, 3), work%outside(model%net%n_pad), source=0.0_wp)
+    allocate (work%node_gap(model%net%n_pad), source=huge(1.0_wp))
     call shape_bounds(model%target%shape, lower, upper)
     work%middle = 0.5_wp*(lower + upper)
     work%half = 0.5_wp*(upper - lower)
@@ -81,7 +86,7 @@ contains
     if (.not. is_modelled(model)) return
     if (state%time < state%skip_contact_until) return
     call detect_contacts(model, state, work, r)
-    if (.not. work%near) then
+    if (.not. work%engaged) then
       if (mod(state%step, horizon_stride) == 0_i8) state%skip_contact_until = earliest_contact_time(model, state)
       return
     end if
@@ -100,23 +105,32 @@ contains
     type(state_t), intent(in) :: state
     type(contact_work_t), intent(inout) :: work
     real(wp), intent(out) :: r(3, 3)
-    real(wp) :: lower(3), upper(3), rate(3)
+    real(wp) :: lower(3), upper(3), rate(3), move
     work%list%n = 0
     r = 0.0_wp
-    associate (net => model%net, body => state%target, threshold => model%contact%threshold)
-      if (.not. work%near) then
+    associate (net => model%net, body => state%target, threshold => model%contact%threshold, near => work%near, &
+               with_cables => model%contact%detect_cables)
+      if (.not. work%engaged) then
         call net_box(net%n_node, net%n_pad, state%node_position, lower, upper)
         if (boxes_apart(lower, upper, body%position, work%radius + threshold)) return
       end if
       r = rotation_matrix(body%attitude)
       call into_body_axes(net%n_node, net%n_pad, state%node_position, body%position, r, work%middle, work%half, &
                           work%y, work%outside)
-      call select_candidates(net%n_node, net%n_pad, work%y, work%outside, threshold, work%candidates)
-      work%near = work%candidates%n > 0
-      if (.not. work%near) return
-      call measure_gaps(model%target%shape, work%candidates)
-      call append_node_contacts(work%candidates, threshold, net%n_pad, state%node_position, net%inverse_mass, &
-                                body%position, r, model%target%fixed, work%list)
+      move = huge(1.0_wp)
+      if (near%built) move = largest_move(net%n_node, net%n_pad, work%y, near%reference)
+      if (move > near%skin) then
+        call rebuild_near(near, net, model%target%shape, net%n_pad, work%y, work%outside, work%middle, work%half, &
+                          threshold + near%skin, with_cables)
+        move = 0.0_wp
+      end if
+      work%engaged = near%n_node + near%n_cable > 0
+      if (.not. work%engaged) return
+      call append_nodes(near, move, threshold, net, model%target%shape, net%n_pad, state%node_position, work%y, &
+                        body%position, r, model%target%fixed, work%list)
+      if (with_cables) call append_cables(near, move, threshold, net, model%target%shape, net%n_pad, &
+                                          state%node_position, work%y, body%position, r, model%target%fixed, &
+                                          work%node_gap, work%list)
       if (work%list%n == 0) return
       rate = multiply(r, body%angular_velocity)
       ! Against the frame: its rate is (0, -n, 0).
@@ -229,7 +243,7 @@ contains
     type(body_inertia_t) :: body
     real(wp) :: before, after, shift(6), deepest
     integer :: pass
-    deepest = -minval(work%list%gap(1:work%list%n))
+    deepest = max(0.0_wp, -minval(work%list%gap(1:work%list%n)))
     if (deepest > 0.0_wp) then
       do pass = 1, max_projection
         body = body_inertia(model, r)
@@ -249,36 +263,47 @@ contains
           r = rotation_matrix(state%target%attitude)
         end if
         work%acted = .true.
-        call remeasure(model, state, work, r)
-        deepest = -minval(work%list%gap(1:work%list%n))
+        call remeasure(model, state, work, r, deepest)
         if (deepest <= projection_tolerance*model%contact%threshold) exit
       end do
     end if
     state%tally%deepest_penetration = max(state%tally%deepest_penetration, deepest)
   end subroutine project_positions
 
-  !> Gaps, normals and arms of the list after its points have moved.
-  subroutine remeasure(model, state, work, r)
+  !> Gaps, normals, arms and cables' shares of the list after its points have moved.
+  subroutine remeasure(model, state, work, r, deepest)
     type(model_t), intent(in) :: model
     type(state_t), intent(in) :: state
     type(contact_work_t), intent(inout) :: work
     real(wp), intent(in) :: r(3, 3)
-    real(wp) :: arm(3)
-    integer :: k, a, b, c
-    associate (list => work%list, near => work%candidates, x => state%node_position)
+    real(wp), intent(out) :: deepest  !! [m], >= 0
+    real(wp) :: arm(3), g(3), gap(1), s(1), normal(3, 1), a(3, 1), b(3, 1)
+    integer :: k, c
+    deepest = 0.0_wp
+    associate (list => work%list, x => state%node_position, centre => state%target%position)
       do k = 1, list%n
-        a = list%node_a(k)
-        b = list%node_b(k)
+        arm = [x(list%node_a(k), 1), x(list%node_a(k), 2), x(list%node_a(k), 3)] - centre
+        a(:, 1) = multiply_transposed(r, arm)
+        if (list%node_b(k) == list%node_a(k)) then
+          call signed_distance(model%target%shape, 1, a, gap, normal)
+        else
+          g = [x(list%node_b(k), 1), x(list%node_b(k), 2), x(list%node_b(k), 3)] - centre
+          b(:, 1) = multiply_transposed(r, g)
+          call segment_distance(model%target%shape, 1, a, b, s, gap, normal)
+          list%share(k) = s(1)
+          list%weight_a(k) = 1.0_wp - s(1)
+          arm = list%weight_a(k)*arm + s(1)*g
+        end if
+        deepest = max(deepest, -gap(1))
+        g = normal(:, 1)
+        if (gap(1) < 0.0_wp .and. list%node_b(k) /= list%node_a(k)) call mend_normal(model%target%shape, a(:, 1), b(:, 1), &
+                                                                                     s(1), gap(1), g)
+        g = multiply(r, g)
+        list%gap(k) = gap(1)
         do c = 1, 3
-          arm(c) = list%weight_a(k)*x(a, c) + list%share(k)*x(b, c) - state%target%position(c)
           list%arm(k, c) = arm(c)
+          list%normal(k, c) = g(c)
         end do
-        near%point(:, k) = multiply_transposed(r, arm)
-      end do
-      call signed_distance(model%target%shape, list%n, near%point, near%distance, near%normal)
-      do k = 1, list%n
-        list%gap(k) = near%distance(k)
-        list%normal(k, :) = multiply(r, near%normal(:, k))
       end do
     end associate
   end subroutine remeasure

@@ -19,6 +19,7 @@ module castnet_contact_response
                                     twist_of_impulses
   use castnet_friction_solver, only: friction_problem_t, reserve_friction, solve_friction
   use castnet_coupled_friction, only: coupled_work_t, reserve_coupled, solve_coupled_friction
+  use castnet_coupled_solver, only: group_work_t, reserve_groups, solve_coupled, shares_nodes
   use castnet_dense_impulse, only: solve_dense
   use castnet_contact_projection, only: set_depths, mass_of
   implicit none
@@ -34,18 +35,23 @@ module castnet_contact_response
   type :: contact_solver_t
     type(impulse_problem_t) :: normal      !! without friction; also the projection's
     type(friction_problem_t) :: friction
-    type(coupled_work_t) :: coupled        !! contacts that share nodes
+    type(coupled_work_t) :: coupled        !! contacts that share nodes, with friction
+    type(group_work_t) :: groups           !! contacts that share nodes, without
+    logical :: coupled_contacts = .false.  !! of the present list: nodes are shared
   end type contact_solver_t
 
 contains
 
-  !> Room for a list.
-  subroutine reserve_solver(solver, list, friction)
+  !> Room for a list on a net of `n_node` nodes.
+  subroutine reserve_solver(solver, list, n_node, contact)
     type(contact_solver_t), intent(inout) :: solver
     type(contact_list_t), intent(in) :: list
-    real(wp), intent(in) :: friction
+    integer, intent(in) :: n_node
+    type(contact_t), intent(in) :: contact
     call reserve_problem(solver%normal, list%capacity)
-    if (friction > 0.0_wp) call reserve_friction(solver%friction, list%capacity)
+    if (contact%friction > 0.0_wp) call reserve_friction(solver%friction, list%capacity)
+    if (contact%friction > 0.0_wp .and. contact%detect_cables) call reserve_coupled(solver%coupled, list%capacity, n_node)
+    if (contact%detect_cables) call reserve_groups(solver%groups, list%capacity, n_node)
   end subroutine reserve_solver
 
   !> Impulses of every contact, into `list%impulse` and `list%friction_impulse`, and the
@@ -59,8 +65,10 @@ contains
     type(contact_t) :: frictionless
     real(wp) :: low, high, e, low_loss, high_loss, work
     integer :: trial, iterations
-    call reserve_solver(solver, list, contact%friction)
+    call reserve_solver(solver, list, maxval(max(list%node_a(1:list%n), list%node_b(1:list%n))), contact)
     call set_rows(list, solver%normal)
+    solver%coupled_contacts = .false.
+    if (contact%detect_cables) call shares_nodes(list, solver%groups, solver%coupled_contacts)
     call attempt(contact, body, list, solver, contact%restitution, report, work)
     if (report%converged .and. report%energy_loss >= -energy_rounding*work) return
     high = contact%restitution
@@ -117,7 +125,7 @@ contains
     logical :: converged
     call set_rows(list, solver%normal)
     call set_depths(list, solver%normal)
-    call solve_normal(.false., body, list, solver%normal, iterations, residual, converged)
+    call solve_normal(.false., body, list, solver, iterations, residual, converged)
     shift = twist_of_impulses(solver%normal, body)
   end subroutine resolve_depths
 
@@ -155,7 +163,7 @@ contains
       call solve_tangential(body, list, solver, report)
       call take_friction(solver%friction, list, report%energy_loss, work)
     else
-      call solve_normal(contact%dense, body, list, solver%normal, report%iterations, report%residual, report%converged)
+      call solve_normal(contact%dense, body, list, solver, report%iterations, report%residual, report%converged)
       report%twist = twist_of_impulses(solver%normal, body)
       call take_normal(solver%normal, list, report%energy_loss, work)
     end if
@@ -171,7 +179,7 @@ contains
     type(impulse_report_t), intent(inout) :: report
     integer :: used, turn
     logical :: reducible
-    reducible = .not. any(solver%normal%inverse_weight(1:list%n) <= 0.0_wp)
+    reducible = .not. (has_fixed_point(solver%normal) .or. solver%coupled_contacts)
     used = 0
     if (reducible) then
       report%twist = 0.0_wp
@@ -196,31 +204,48 @@ contains
 
   !> The frictionless solver that fits. Fixed nodes on a free target have no mass to put
   !> into the reduced form; and where that form's search does not end, pivoting does.
-  subroutine solve_normal(dense, body, list, problem, iterations, residual, converged)
+  subroutine solve_normal(dense, body, list, solver, iterations, residual, converged)
     logical, intent(in) :: dense
     type(body_inertia_t), intent(in) :: body
     type(contact_list_t), intent(in) :: list
-    type(impulse_problem_t), intent(inout) :: problem
+    type(contact_solver_t), intent(inout) :: solver
     integer, intent(out) :: iterations
     real(wp), intent(out) :: residual
     logical, intent(out) :: converged
     integer :: n_lane
     logical :: go_dense
-    if (problem%n == 1) then
-      call solve_single(problem, body)
-      call pad(problem, n_lane)
-      call measure(problem, body, n_lane, residual)
-      iterations = 1
-      converged = .true.
-      return
-    end if
-    go_dense = dense .or. any(problem%inverse_weight(1:problem%n) <= 0.0_wp)
-    if (.not. go_dense) then
-      call solve_reduced(problem, body, iterations, residual, converged)
-      go_dense = .not. converged
-    end if
-    if (go_dense) call solve_dense(problem, list, body, iterations, residual, converged)
+    associate (problem => solver%normal)
+      if (problem%n == 1) then
+        call solve_single(problem, body)
+        call pad(problem, n_lane)
+        call measure(problem, body, n_lane, residual)
+        iterations = 1
+        converged = .true.
+        return
+      end if
+      go_dense = dense .or. has_fixed_point(problem)
+      if (.not. go_dense) then
+        if (solver%coupled_contacts) then
+          call solve_coupled(problem, list, body, solver%groups, iterations, residual, converged)
+          call pad(problem, n_lane)
+        else
+          call solve_reduced(problem, body, iterations, residual, converged)
+        end if
+        go_dense = .not. converged
+      end if
+      if (go_dense) call solve_dense(problem, list, body, iterations, residual, converged)
+    end associate
   end subroutine solve_normal
+
+  !> Is any contact's point held by fixed nodes only?
+  pure logical function has_fixed_point(problem)
+    type(impulse_problem_t), intent(in) :: problem
+    integer :: i
+    has_fixed_point = .false.
+    do i = 1, problem%n
+      has_fixed_point = has_fixed_point .or. problem%inverse_weight(i) <= 0.0_wp
+    end do
+  end function has_fixed_point
 
   !> The normal velocity that each contact has to gain, and which contacts count.
   pure subroutine set_needs(list, push_only, e, problem)

@@ -8,7 +8,7 @@ module castnet_dense_impulse
   use, intrinsic :: ieee_exceptions, only: ieee_all, ieee_get_halting_mode, ieee_set_halting_mode, ieee_set_flag
   use castnet_kinds, only: wp
   use castnet_contact_list, only: contact_list_t, body_inertia_t
-  use castnet_impulse_solver, only: impulse_problem_t, inverse_inertia_times, measure, pad
+  use castnet_impulse_solver, only: impulse_problem_t, inverse_inertia_times, pad
   implicit none
   private
   public :: solve_dense, delassus_matrix
@@ -67,7 +67,7 @@ contains
     logical, intent(out) :: converged
     real(wp), allocatable :: m(:, :), slack(:)
     logical, allocatable :: pushes(:), wrong(:)
-    integer :: n, n_wrong, least, patience, last, n_lane
+    integer :: n, n_wrong, least, patience, last, n_lane, i
     real(wp) :: largest
     n = problem%n
     call pad(problem, n_lane)
@@ -106,7 +106,14 @@ contains
       pushes = pushes .neqv. wrong
     end do
     if (problem%push_only) problem%impulse(1:n) = max(0.0_wp, problem%impulse(1:n))
-    call measure(problem, body, n_lane, residual)
+    call slacks(m, problem%impulse, problem%need, slack)
+    problem%gained(1:n) = slack + problem%need(1:n)
+    residual = 0.0_wp
+    do i = 1, n
+      if (.not. problem%weight(i) > 0.0_wp) cycle
+      residual = max(residual, merge(abs(slack(i)), max(0.0_wp, -slack(i)), &
+                                     problem%impulse(i) > 0.0_wp .or. .not. problem%push_only))
+    end do
   end subroutine solve_dense
 
   !> M_SS j_S = g_S on the chosen contacts, zero elsewhere. A singular M_SS (two nodes

@@ -21,7 +21,7 @@ module castnet_impulse_solver
   implicit none
   private
   public :: impulse_problem_t, reserve_problem, solve_single, solve_reduced, twist_of_impulses, pad, &
-            inverse_inertia_times, measure
+            inverse_inertia_times, inertia_times, inertia_matrix, measure
 
   integer, parameter :: max_iteration = 200
   integer, parameter :: max_refinement = 3

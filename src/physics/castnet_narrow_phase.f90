@@ -1,92 +1,168 @@
-!> Contacts from candidates: exact signed distance in body axes, then gap, normal, arm
+!> Contacts from what is near: exact signed distance in body axes, then gap, normal, arm
 !> and relative velocity of every point within the threshold.
+!>
+!> A cable touches at the one point where it is nearest to the body or deepest in it,
+!> unless an end of it is in contact and about as deep: then it lies on its nodes.
 module castnet_narrow_phase
   use castnet_kinds, only: wp
-  use castnet_shape, only: shape_t, signed_distance
-  use castnet_contact_list, only: contact_list_t, reserve_contacts
+  use castnet_net, only: net_t
+  use castnet_shape, only: shape_t, signed_distance, segment_distance
+  use castnet_contact_list, only: contact_list_t
+  use castnet_near_list, only: near_list_t
   implicit none
   private
-  public :: candidates_t, reserve_candidates, select_candidates, measure_gaps, append_node_contacts, set_velocities
+  public :: append_nodes, append_cables, set_velocities, mend_normal
 
-  !> Nodes near the body, packed.
-  type :: candidates_t
-    integer :: n = 0
-    integer, allocatable :: node(:)            !! counted from 1
-    real(wp), allocatable :: point(:, :)       !! (3,n) body axes [m]
-    real(wp), allocatable :: distance(:)       !! [m]
-    real(wp), allocatable :: normal(:, :)      !! (3,n) body axes
-  end type candidates_t
+  !> A cable that is deeper than its ends by less than this part of the threshold lies on
+  !> its nodes [-].
+  real(wp), parameter :: lies_on_node = 1.0e-3_wp
 
 contains
 
-  !> Room for every node of the net.
-  subroutine reserve_candidates(candidates, n)
-    type(candidates_t), intent(out) :: candidates
-    integer, intent(in) :: n
-    allocate (candidates%node(n), source=0)
-    allocate (candidates%point(3, n), candidates%distance(n), candidates%normal(3, n), source=0.0_wp)
-  end subroutine reserve_candidates
-
-  !> Pack the nodes that are at most `reach` outside of the body's box.
-  pure subroutine select_candidates(n, n_pad, y, outside, reach, candidates)
-    integer, intent(in) :: n, n_pad
-    real(wp), intent(in) :: y(n_pad, 3), outside(n_pad), reach !! body axes [m]
-    type(candidates_t), intent(inout) :: candidates
-    integer :: i, k
-    k = 0
-    do i = 1, n
-      if (outside(i) > reach) cycle
-      k = k + 1
-      candidates%node(k) = i
-      candidates%point(1, k) = y(i, 1)
-      candidates%point(2, k) = y(i, 2)
-      candidates%point(3, k) = y(i, 3)
-    end do
-    candidates%n = k
-  end subroutine select_candidates
-
-  !> Signed distances and normals of the candidates.
-  pure subroutine measure_gaps(shape, candidates)
+  !> Nodes within the threshold, as node contacts. A fixed node on a fixed target is no contact.
+  subroutine append_nodes(near, move, threshold, net, shape, n_pad, x, y, centre, r, target_fixed, list)
+    type(near_list_t), intent(inout) :: near
+    real(wp), intent(in) :: move, threshold              !! since the near list was built; [m]
+    type(net_t), intent(in) :: net
     type(shape_t), intent(in) :: shape
-    type(candidates_t), intent(inout) :: candidates
-    call signed_distance(shape, candidates%n, candidates%point, candidates%distance, candidates%normal)
-  end subroutine measure_gaps
-
-  !> Candidates within the threshold, as node contacts. A fixed node on a fixed target
-  !> is no contact.
-  subroutine append_node_contacts(candidates, threshold, n_pad, x, inverse_mass, centre, r, target_fixed, list)
-    type(candidates_t), intent(in) :: candidates
-    real(wp), intent(in) :: threshold
     integer, intent(in) :: n_pad
-    real(wp), intent(in) :: x(n_pad, 3), inverse_mass(n_pad) !! inertial [m], [1/kg]
-    real(wp), intent(in) :: centre(3), r(3, 3)               !! body to inertial
+    real(wp), intent(in) :: x(n_pad, 3), y(n_pad, 3)     !! inertial, body axes [m]
+    real(wp), intent(in) :: centre(3), r(3, 3)           !! body to inertial
     logical, intent(in) :: target_fixed
     type(contact_list_t), intent(inout) :: list
-    real(wp) :: g(3)
-    integer :: k, i, c
-    c = list%n
-    do k = 1, candidates%n
-      if (.not. candidates%distance(k) <= threshold) cycle
-      i = candidates%node(k)
-      if (target_fixed .and. inverse_mass(i) <= 0.0_wp) cycle
-      c = c + 1
-      g = candidates%normal(:, k)
-      list%node_a(c) = i
-      list%node_b(c) = i
-      list%share(c) = 0.0_wp
-      list%weight_a(c) = 1.0_wp
-      list%inverse_mass_a(c) = inverse_mass(i)
-      list%inverse_mass_b(c) = 0.0_wp
-      list%gap(c) = candidates%distance(k)
-      list%normal(c, 1) = r(1, 1)*g(1) + r(1, 2)*g(2) + r(1, 3)*g(3)
-      list%normal(c, 2) = r(2, 1)*g(1) + r(2, 2)*g(2) + r(2, 3)*g(3)
-      list%normal(c, 3) = r(3, 1)*g(1) + r(3, 2)*g(2) + r(3, 3)*g(3)
-      list%arm(c, 1) = x(i, 1) - centre(1)
-      list%arm(c, 2) = x(i, 2) - centre(2)
-      list%arm(c, 3) = x(i, 3) - centre(3)
+    real(wp) :: reach
+    integer :: k, i, n
+    reach = (threshold + move)*(1.0_wp + 1.0e-12_wp)
+    n = 0
+    do k = 1, near%n_node
+      if (near%node_distance(k) > reach) cycle
+      i = near%node(k)
+      n = n + 1
+      near%found(n) = i
+      near%a(1, n) = y(i, 1)
+      near%a(2, n) = y(i, 2)
+      near%a(3, n) = y(i, 3)
     end do
-    list%n = c
-  end subroutine append_node_contacts
+    if (n == 0) return
+    call signed_distance(shape, n, near%a, near%distance, near%normal)
+    do k = 1, n
+      if (.not. near%distance(k) <= threshold) cycle
+      i = near%found(k)
+      if (target_fixed .and. net%inverse_mass(i) <= 0.0_wp) cycle
+      list%n = list%n + 1
+      call set_point(list, list%n, i, i, 0.0_wp, net%inverse_mass(i), 0.0_wp, x(i, 1), x(i, 2), x(i, 3), centre, r, &
+                     near%distance(k), near%normal(:, k))
+    end do
+  end subroutine append_nodes
+
+  !> Cables within the threshold that do not lie on their nodes. Comes after the nodes.
+  subroutine append_cables(near, move, threshold, net, shape, n_pad, x, y, centre, r, target_fixed, node_gap, list)
+    type(near_list_t), intent(inout) :: near
+    real(wp), intent(in) :: move, threshold
+    type(net_t), intent(in) :: net
+    type(shape_t), intent(in) :: shape
+    integer, intent(in) :: n_pad
+    real(wp), intent(in) :: x(n_pad, 3), y(n_pad, 3)
+    real(wp), intent(in) :: centre(3), r(3, 3)
+    logical, intent(in) :: target_fixed
+    real(wp), intent(inout) :: node_gap(n_pad)           !! huge, and again huge after
+    type(contact_list_t), intent(inout) :: list
+    real(wp) :: reach, s, p(3), gap, g(3)
+    integer :: k, c, a, b, n, n_node_contact
+    reach = (threshold + move)*(1.0_wp + 1.0e-12_wp)
+    n = 0
+    do k = 1, near%n_cable
+      if (near%cable_distance(k) > reach) cycle
+      c = near%cable(k)
+      a = net%cable_nodes(1, c)
+      b = net%cable_nodes(2, c)
+      if (target_fixed .and. net%inverse_mass(a) + net%inverse_mass(b) <= 0.0_wp) cycle
+      n = n + 1
+      near%found(n) = c
+      near%a(1, n) = y(a, 1)
+      near%a(2, n) = y(a, 2)
+      near%a(3, n) = y(a, 3)
+      near%b(1, n) = y(b, 1)
+      near%b(2, n) = y(b, 2)
+      near%b(3, n) = y(b, 3)
+    end do
+    if (n == 0) return
+    call segment_distance(shape, n, near%a, near%b, near%fraction, near%distance, near%normal)
+    n_node_contact = list%n
+    do k = 1, n_node_contact
+      node_gap(list%node_a(k)) = list%gap(k)
+    end do
+    do k = 1, n
+      if (.not. near%distance(k) <= threshold) cycle
+      c = near%found(k)
+      a = net%cable_nodes(1, c)
+      b = net%cable_nodes(2, c)
+      if (near%distance(k) >= min(node_gap(a), node_gap(b)) - lies_on_node*threshold) cycle
+      s = near%fraction(k)
+      p = (1.0_wp - s)*x(a, :) + s*x(b, :)
+      list%n = list%n + 1
+      gap = near%distance(k)
+      g = near%normal(:, k)
+      if (gap < 0.0_wp) call mend_normal(shape, near%a(:, k), near%b(:, k), s, gap, g)
+      call set_point(list, list%n, a, b, s, net%inverse_mass(a), net%inverse_mass(b), p(1), p(2), p(3), centre, r, gap, g)
+    end do
+    do k = 1, n_node_contact
+      node_gap(list%node_a(k)) = huge(1.0_wp)
+    end do
+  end subroutine append_cables
+
+  !> The normal of a cable that has sunk in over an edge. Its deepest point is as far from
+  !> one face as from the other, and neither face's normal n1, n2 is the way out: that is
+  !> the gradient of the segment's depth, their mean across the segment u,
+  !> n ~ (n2.u) n1 - (n1.u) n2, the common normal of cable and edge. It gains depth by
+  !> |n| <= 1 for each unit moved, so that the gap along it is the depth over |n|.
+  pure subroutine mend_normal(shape, a, b, s, gap, g)
+    type(shape_t), intent(in) :: shape
+    real(wp), intent(in) :: a(3), b(3), s       !! ends [m] and share, body axes
+    real(wp), intent(inout) :: gap, g(3)        !! in: signed distance and its normal; out: along the normal
+    real(wp) :: u(3), p(3, 2), d(2), n(3, 2), length, step, along(2), size
+    integer :: i
+    u = b - a
+    length = sqrt(u(1)*u(1) + u(2)*u(2) + u(3)*u(3))
+    if (.not. length > 0.0_wp .or. s <= 0.0_wp .or. s >= 1.0_wp) return
+    u = u/length
+    step = max(1.0e-3_wp*abs(gap), 1.0e-9_wp*length)/length
+    p(:, 1) = a + max(0.0_wp, s - step)*length*u
+    p(:, 2) = a + min(1.0_wp, s + step)*length*u
+    call signed_distance(shape, 2, p, d, n)
+    do i = 1, 2
+      along(i) = n(1, i)*u(1) + n(2, i)*u(2) + n(3, i)*u(3)
+    end do
+    ! Falling before, rising after: a kink. Elsewhere the distance is smooth and g is right.
+    if (.not. (along(1) < -1.0e-3_wp .and. along(2) > 1.0e-3_wp)) return
+    g = (along(2)*n(:, 1) - along(1)*n(:, 2))/(along(2) - along(1))
+    size = sqrt(g(1)*g(1) + g(2)*g(2) + g(3)*g(3))
+    if (size < 1.0e-3_wp) return
+    g = g/size
+    gap = gap/size
+  end subroutine mend_normal
+
+  !> One contact of the list.
+  pure subroutine set_point(list, c, a, b, s, inverse_mass_a, inverse_mass_b, px, py, pz, centre, r, gap, g)
+    type(contact_list_t), intent(inout) :: list
+    integer, intent(in) :: c, a, b
+    real(wp), intent(in) :: s, inverse_mass_a, inverse_mass_b
+    real(wp), intent(in) :: px, py, pz, centre(3), r(3, 3) !! the point, inertial [m]
+    real(wp), intent(in) :: gap, g(3)                      !! [m], normal in body axes
+    list%node_a(c) = a
+    list%node_b(c) = b
+    list%share(c) = s
+    list%weight_a(c) = 1.0_wp - s
+    list%inverse_mass_a(c) = inverse_mass_a
+    list%inverse_mass_b(c) = inverse_mass_b
+    list%gap(c) = gap
+    list%normal(c, 1) = r(1, 1)*g(1) + r(1, 2)*g(2) + r(1, 3)*g(3)
+    list%normal(c, 2) = r(2, 1)*g(1) + r(2, 2)*g(2) + r(2, 3)*g(3)
+    list%normal(c, 3) = r(3, 1)*g(1) + r(3, 2)*g(2) + r(3, 3)*g(3)
+    list%arm(c, 1) = px - centre(1)
+    list%arm(c, 2) = py - centre(2)
+    list%arm(c, 3) = pz - centre(3)
+  end subroutine set_point
 
   !> Velocity of every contact point against the body's material point there. The arm
   !> ends at the net's point, not on the surface, so that impulse and reaction share one
