@@ -15,7 +15,7 @@ module castnet_scene_schema
 
   ! Not available yet: a builder of one of these takes it out here, and nowhere else.
   character(len=*), parameter :: pending_laws = 'penalty hunt_crossley'
-  character(len=*), parameter :: pending_detect = 'cables'
+  character(len=*), parameter :: pending_detect = ''
   character(len=*), parameter :: pending_shapes = 'mesh'
   character(len=*), parameter :: pending_methods = 'midpoint adaptive'
   logical, parameter :: pending_friction = .false.
