@@ -3,6 +3,10 @@ module test_mesh
   use castnet_kinds, only: wp, sp, i8
   use castnet_constants, only: pi
   use castnet_error, only: error_t
+  use castnet_model, only: model_t
+  use castnet_model_builder, only: file_net_t, build_model
+  use castnet_scene, only: scene_t
+  use castnet_state, only: state_t
   use castnet_shape, only: shape_t, new_shape, new_mesh_shape, new_surface_shape, move_shape, signed_distance, &
                            signed_distance_within, segment_distance, segment_distance_within, swept_contact, tessellate, &
                            shape_volume, shape_centroid, unit_inertia, shape_bounds, shape_bounding_radius, surface_samples
@@ -35,7 +39,8 @@ contains
     call test_case('mesh: what no solid is made of is refused with its place', refused_surfaces)
     call test_case('mesh: malformed files are refused with line or byte', refused_files)
     call test_case('mesh: moved to its centroid it keeps its moments', moved)
-    call remove(['ring.stl       ', 'ring_binary.STL', 'ring.obj       ', 'cube.obj       ', 'bad.obj        ', &
+    call test_case('mesh: a free target turns about its solid''s centroid', targets)
+    call remove(['ring.stl       ', 'ring_binary.STL', 'ring.obj       ', 'off.obj        ', 'cube.obj       ', 'bad.obj        ', &
                  'bad.ply        ', 'bad.stl        '])
   end subroutine run_test_mesh
 
@@ -693,5 +698,49 @@ contains
     call surface_samples(shape, 100, sample)
     call expect(size(sample, 2) == 8, 'its samples are the corners')
   end subroutine moved
+
+  !> A mesh is moved to its centroid unless its inertia is given; a compound must be placed there.
+  subroutine targets()
+    type(scene_t) :: scene
+    type(model_t) :: model
+    type(state_t) :: state
+    type(file_net_t), allocatable :: no_net
+    type(error_t), allocatable :: error
+    type(surface_t) :: surface
+    surface = grid_box([0.1_wp, 0.2_wp, 0.3_wp], 2)
+    surface%vertex = surface%vertex + 5.0_wp
+    call write_obj(folder//'off.obj', surface)
+    allocate (scene%target)
+    scene%path = folder//'scene.nml'
+    scene%target%shape = 'mesh'
+    scene%target%file = folder//'off.obj'
+    scene%target%mass = 12.0_wp
+    scene%target%position = 0.0_wp
+    call build_model(scene, no_net, model, state, error)
+    call report(error, 'mesh target')
+    call expect_close(shape_centroid(model%target%shape), [0.0_wp, 0.0_wp, 0.0_wp], 'moved', atol=1.0e-13_wp)
+    call expect_close(model%target%inertia(1, 1), 0.16_wp + 0.36_wp, 'uniform', rtol=1.0e-12_wp)
+    scene%target%inertia = [1.0_wp, 1.0_wp, 1.0_wp, 0.0_wp, 0.0_wp, 0.0_wp]
+    call build_model(scene, no_net, model, state, error)
+    call report(error, 'mesh target with inertia')
+    call expect_close(shape_centroid(model%target%shape), [5.0_wp, 5.0_wp, 5.0_wp], 'not moved', atol=1.0e-13_wp)
+    deallocate (scene%target)
+    allocate (scene%target, scene%parts(2))
+    scene%target%shape = 'compound'
+    scene%target%mass = 1.0_wp
+    scene%target%position = 0.0_wp
+    scene%parts(1)%shape = 'sphere'
+    scene%parts(1)%dimensions = 1.0_wp
+    scene%parts(2) = scene%parts(1)
+    scene%parts(2)%position = [2.0_wp, 0.0_wp, 0.0_wp]
+    call build_model(scene, no_net, model, state, error)
+    call expect(allocated(error), 'a compound off its centroid')
+    if (.not. allocated(error)) return
+    call expect(index(error%message, 'is at 1, 0, 0 m') > 0, error%message)
+    deallocate (error)
+    scene%parts(1)%position = [-2.0_wp, 0.0_wp, 0.0_wp]
+    call build_model(scene, no_net, model, state, error)
+    call report(error, 'compound on its centroid')
+  end subroutine targets
 
 end module test_mesh

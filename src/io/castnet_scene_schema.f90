@@ -16,7 +16,7 @@ module castnet_scene_schema
   ! Not available yet: a builder of one of these takes it out here, and nowhere else.
   character(len=*), parameter :: pending_laws = 'penalty hunt_crossley'
   character(len=*), parameter :: pending_detect = ''
-  character(len=*), parameter :: pending_shapes = 'mesh'
+  character(len=*), parameter :: pending_shapes = ''
   character(len=*), parameter :: pending_methods = 'midpoint adaptive'
   logical, parameter :: pending_friction = .false.
   logical, parameter :: pending_closing = .false.
@@ -120,7 +120,9 @@ contains
                         low=-1.0e15_wp, high=1.0e15_wp)
       call t%real_array('external_torque', g%external_torque, 'N m', 'constant torque, body axes', &
                         low=-1.0e15_wp, high=1.0e15_wp)
-      call t%path_key('file', g%file, 'STL or OBJ file of the shape, seen from the scene''s folder', need='shape = ''mesh''')
+      call t%path_key('file', g%file, 'STL or OBJ file of the shape in metres, seen from '// &
+                      'the scene''s folder; its origin is the centre of mass if inertia is given, else the centroid is', &
+                      need='shape = ''mesh''')
     end associate
   end subroutine target_keys
 

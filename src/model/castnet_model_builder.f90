@@ -9,8 +9,10 @@ module castnet_model_builder
   use castnet_perturb, only: perturbation_t, draw_perturbation, apply_perturbation
   use castnet_rotation, only: normalise_quaternion
   use castnet_scene, only: scene_t, target_group_t, part_group_t, closing_group_t, is_set
-  use castnet_shape, only: shape_t, new_shape, new_compound, new_mesh_shape, unit_inertia, shape_volume
+  use castnet_shape, only: shape_t, new_shape, new_compound, new_mesh_shape, move_shape, unit_inertia, shape_centroid, &
+                           shape_length
   use castnet_state, only: state_t, impulse_bins
+  use castnet_text, only: path_beside, to_text
   implicit none
   private
   public :: file_net_t, build_model
@@ -68,7 +70,7 @@ contains
 
     if (allocated(scene%target)) then
       allocate (model%target, state%target)
-      call build_target(scene%target, scene%parts, model%target, error)
+      call build_target(scene%target, scene%parts, mesh_path(scene), model%target, error)
       if (allocated(error)) return
       state%target%position = scene%target%position
       state%target%velocity = scene%target%velocity
@@ -103,10 +105,20 @@ contains
     if (allocated(scene%perturb)) call apply_perturbation(drawn, model, state)
   end subroutine build_model
 
-  !> Shape and mass properties. Without `inertia`, those of the uniform solid.
-  subroutine build_target(group, parts, target, error)
+  !> The mesh file, seen from the scene's folder.
+  function mesh_path(scene) result(path)
+    type(scene_t), intent(in) :: scene
+    character(len=:), allocatable :: path
+    path = trim(scene%target%file)
+    if (allocated(scene%path)) path = path_beside(scene%path, path)
+  end function mesh_path
+
+  !> Shape and mass properties. Without `inertia`, those of the uniform solid; its centroid is then
+  !> the centre of mass, to which a mesh is moved and at which a compound must be placed.
+  subroutine build_target(group, parts, path, target, error)
     type(target_group_t), intent(in) :: group
     type(part_group_t), allocatable, intent(in) :: parts(:)
+    character(len=*), intent(in) :: path             !! of the mesh
     type(target_t), intent(out) :: target
     type(error_t), allocatable, intent(inout) :: error
     real(wp), allocatable :: dimensions(:, :), position(:, :), attitude(:, :)
@@ -122,7 +134,7 @@ contains
       end do
       call new_compound(target%shape, parts%shape, dimensions, position, attitude, error)
     case ('mesh')
-      call new_mesh_shape(target%shape, trim(group%file), error)
+      call new_mesh_shape(target%shape, path, error)
     case default
       call new_shape(target%shape, trim(group%shape), group%dimensions, error)
     end select
@@ -137,12 +149,39 @@ contains
       target%inertia(2, :) = [group%inertia(4), group%inertia(2), group%inertia(6)]
       target%inertia(3, :) = [group%inertia(5), group%inertia(6), group%inertia(3)]
     else
+      if (.not. target%fixed) call centre_solid(target%shape, group%shape == 'mesh', error)
+      if (allocated(error)) return
       target%inertia = target%mass*unit_inertia(target%shape)
     end if
     if (target%fixed) return
     target%inverse_mass = 1.0_wp/target%mass
     call invert_symmetric(target%inertia, target%inverse_inertia)
   end subroutine build_target
+
+  !> A uniform solid turns about its centroid. A file's origin means nothing: a mesh is moved. Parts
+  !> are placed by hand: a compound off its centroid is an error of the scene.
+  subroutine centre_solid(shape, may_move, error)
+    type(shape_t), intent(inout) :: shape
+    logical, intent(in) :: may_move
+    type(error_t), allocatable, intent(inout) :: error
+    real(wp), parameter :: tolerance = 1.0e-6_wp  ! of the length
+    real(wp) :: centroid(3)
+    centroid = shape_centroid(shape)
+    if (may_move) then
+      call move_shape(shape, centroid)
+    else if (maxval(abs(centroid)) > tolerance*shape_length(shape)) then
+      call fail(error, exit_input, 'target: the origin of body axes is the centre of mass, but the centroid of the '// &
+                '&part solids is at '// &
+                to_text(rounded(centroid(1)))//', '//to_text(rounded(centroid(2)))//', '// &
+                to_text(rounded(centroid(3)))//' m; move the parts by the opposite, or give inertia')
+    end if
+  end subroutine centre_solid
+
+  !> To a micrometre, for a message.
+  pure real(wp) function rounded(x)
+    real(wp), intent(in) :: x
+    rounded = real(nint(x*1.0e6_wp, i8), wp)/1.0e6_wp
+  end function rounded
 
   !> Inverse of a symmetric 3 x 3 matrix by cofactors.
   pure subroutine invert_symmetric(a, b)
