@@ -9,6 +9,7 @@ module castnet_commands
   use castnet_reference, only: reference_text, reference_markdown
   use castnet_run_command, only: run_file
   use castnet_scene_text, only: scene_template
+  use castnet_study_command, only: study_file, collect_file
   use castnet_terminal, only: say, tell
   use castnet_text, only: text_t
   use castnet_text_file, only: write_text_file
@@ -54,7 +55,11 @@ contains
       end if
     case ('version')
       call version()
-    case ('study', 'collect', 'accuracy')
+    case ('study')
+      call study_file(options, error)
+    case ('collect')
+      call collect_file(options, error)
+    case ('accuracy')
       call fail(error, exit_input, 'castnet '//options%command//' is not available yet')
     case default
       call fail(error, exit_bug, 'the command '//options%command//' is known but not built in')

@@ -8,7 +8,7 @@ module castnet_posix
   use castnet_error, only: error_t, fail, exit_file
   implicit none
   private
-  public :: create_file, read_file, copy_file, sync_path, rename_file, remove_file, remove_if_unchanged, link_file
+  public :: create_file, append_file, read_file, copy_file, sync_path, rename_file, remove_file, remove_if_unchanged, link_file
   public :: path_kind, path_nothing, path_file, path_folder, path_other
   public :: file_size, same_file, may_write, longest_name, longest_path, free_space, reserve_space, release_space
   public :: is_terminal, process_id, process_is_alive, process_start, host_name
@@ -30,6 +30,11 @@ module castnet_posix
       integer(c_int64_t), value :: n
       integer(c_int64_t), intent(out) :: done
     end function castnet_read_file
+    integer(c_int) function castnet_append_file(path, length, data, n) bind(c)
+      import :: c_char, c_int, c_int64_t
+      character(kind=c_char), intent(in) :: path(*), data(*)
+      integer(c_int64_t), value :: length, n
+    end function castnet_append_file
     integer(c_int) function castnet_copy_file(from, to) bind(c)
       import :: c_char, c_int
       character(kind=c_char), intent(in) :: from(*), to(*)
@@ -155,6 +160,13 @@ contains
     character(len=*), intent(in) :: path, bytes
     create_file = castnet_create_file(path//c_null_char, bytes, len(bytes, kind=c_int64_t))
   end function create_file
+
+  !> Cut a file to `length` bytes (0 also makes it) and write these behind.
+  integer function append_file(path, length, bytes)
+    character(len=*), intent(in) :: path, bytes
+    integer(i8), intent(in) :: length
+    append_file = castnet_append_file(path//c_null_char, int(length, c_int64_t), bytes, len(bytes, kind=c_int64_t))
+  end function append_file
 
   !> All bytes of a file.
   integer function read_file(path, bytes)
