@@ -8,9 +8,9 @@ program main
   use test_convex_hull, only: run_test_convex_hull
   use test_diagnostics, only: run_test_diagnostics
   use test_friction, only: run_test_friction
+  use test_log, only: run_test_log
   use test_mesh, only: run_test_mesh
   use test_net_builder, only: run_test_net_builder
-  use test_log, only: run_test_log
   use test_net_file, only: run_test_net_file
   use test_output_files, only: run_test_output_files
   use test_perturb, only: run_test_perturb
@@ -21,10 +21,10 @@ program main
   use test_segment, only: run_test_segment
   use test_shape, only: run_test_shape
   use test_stable_step, only: run_test_stable_step
+  use test_study, only: run_test_study
   use test_study_file, only: run_test_study_file
   use test_text, only: run_test_text
   use test_threads, only: run_test_threads
-  use testing, only: finish
   use verify_catenary, only: run_verify_catenary
   use verify_chain, only: run_verify_chain
   use verify_closing, only: run_verify_closing
@@ -34,6 +34,7 @@ program main
   use verify_pulled_cable, only: run_verify_pulled_cable
   use verify_snap, only: run_verify_snap
   use verify_torque_free, only: run_verify_torque_free
+  use testing, only: finish
   implicit none
   call run_test_cable_contact()
   call run_test_capture_measures()
@@ -43,9 +44,9 @@ program main
   call run_test_convex_hull()
   call run_test_diagnostics()
   call run_test_friction()
+  call run_test_log()
   call run_test_mesh()
   call run_test_net_builder()
-  call run_test_log()
   call run_test_net_file()
   call run_test_output_files()
   call run_test_perturb()
@@ -56,6 +57,7 @@ program main
   call run_test_segment()
   call run_test_shape()
   call run_test_stable_step()
+  call run_test_study()
   call run_test_study_file()
   call run_test_text()
   call run_test_threads()

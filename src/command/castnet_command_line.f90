@@ -60,7 +60,7 @@ module castnet_command_line
     option_t('timings', '', 'run study accuracy', 'tell where the time went'), &
     option_t('force', '', 'run study collect accuracy init', 'replace files that exist'), &
     option_t('quiet', '', 'run check study collect accuracy init', 'only warnings and errors on stderr'), &
-    option_t('no-progress', '', 'run study accuracy', 'no progress lines'), &
+    option_t('no-progress', '', 'run study collect accuracy', 'no progress lines'), &
     option_t('markdown', '', 'schema', 'as a page of Markdown'), &
     option_t('effective', '', 'check', 'print the scene with every default'), &
     option_t('help', '', '', 'this help')]

@@ -6,7 +6,7 @@ module castnet_study_command
   use castnet_log, only: log_t, new_log, log_result, log_warning
   use castnet_scene, only: scene_t
   use castnet_scene_file, only: read_scene
-  use castnet_study, only: study_options_t, run_study, collect_study
+  use castnet_study, only: study_options_t, run_study, collect_study, journal_path
   use castnet_study_file, only: read_study
   use castnet_study_request, only: study_request_t
   use castnet_terminal, only: warn_lines
@@ -33,7 +33,12 @@ contains
     call new_log(log, options%quiet, .not. options%no_progress)
     call run_study(request, base, study, log, error)
     if (allocated(error)) return
-    call log_result(log, 'output           '//study%output)
+    if (study%shards > 1) then
+      call log_result(log, 'cases            '//journal_path(study%output, study%shard, study%shards)// &
+                      '; castnet collect makes the table of all shards')
+    else
+      call log_result(log, 'output           '//study%output)
+    end if
   end subroutine study_file
 
   !> Put what there is of a study into its table.

@@ -30,7 +30,7 @@ module castnet_study
   use, intrinsic :: ieee_arithmetic, only: ieee_value, ieee_quiet_nan
   implicit none
   private
-  public :: study_options_t, run_study, collect_study
+  public :: study_options_t, run_study, collect_study, journal_path
 
   real(wp), parameter :: sync_interval = 2.0_wp   !! between two times the journal is forced to the disk [s]
   integer, parameter :: steps_per_look = 256      !! between two looks at the signals

@@ -73,6 +73,15 @@ contains
       else
         k = widest_bracket(result)
         i = findloc(result%x, result%bracket(1, k), dim=1)
+        if (2*spent >= budget) then
+          ! The second half goes evenly to the neighbourhood, whatever comes out: points that
+          ! get runs until they please would bias the fit.
+          worst = max(1, i - 1) - 1 + minloc(result%runs(max(1, i - 1):min(size(result%x), i + 2)), dim=1)
+          runs = min(batch, budget - spent)
+          call more_runs(sampler, result, [worst], runs)
+          spent = spent + runs
+          cycle
+        end if
         call most_uncertain(result, probability, confidence, i, i + 1, worst)
         if (result%bracket(2, k) - result%bracket(1, k) > 1.5_wp*(to - from)/finest .and. &
             (worst == 0 .or. minval(result%runs(i:i + 1)) >= 4*batch)) then
