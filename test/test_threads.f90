@@ -104,7 +104,7 @@ contains
     call random_numbers(seed, r)
     x = reshape(r(:3*n), [n, 3])
     mass = 1.5_wp + r(3*n + 1:4*n)
-    call net_of(mass, [(.false., i=1, n)], cables, 50.0_wp*(1.1_wp + r(:m)), 0.6_wp + 0.5_wp*r(m + 1:2*m), &
+    call net_of(mass, [(modulo(i, 10) == 7, i=1, n)], cables, 50.0_wp*(1.1_wp + r(:m)), 0.6_wp + 0.5_wp*r(m + 1:2*m), &
                 1.0_wp + r(2*m + 1:3*m), .true., x, 0.0_wp*x, model, state)
   end subroutine random_graph
 

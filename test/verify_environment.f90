@@ -32,6 +32,8 @@ contains
     call test_case('verify: node and target follow Clohessy and Wiltshire', clohessy_wiltshire)
     call test_case('verify: the attitude is relative to the orbital frame', orbital_attitude)
     call test_case('verify: Jacobi''s integral stays in the orbital frame', jacobi_integral)
+    call test_case('verify: a fixed target is fixed in the orbital frame', fixed_in_orbit)
+    call test_case('verify: supports that are led along do their work', moving_support)
     call test_case('verify: an elastic impact in the orbital frame keeps Jacobi''s integral', impact_in_orbit)
   end subroutine run_verify_environment
 
@@ -295,6 +297,69 @@ contains
       call expect(maxval(abs(state%node_position(1, :) - x(1, :))) <= 0.0_wp, 'a fixed node stays')
     end do
   end subroutine jacobi_integral
+
+  !> Its surface does not move: the node's velocity is mirrored on the face.
+  subroutine fixed_in_orbit()
+    type(model_t) :: model
+    type(state_t) :: state
+    type(contact_work_t) :: work
+    type(error_t), allocatable :: error
+    real(wp) :: inertia(3, 3), position(1, 3), velocity(1, 3)
+    integer :: no_cable(2, 0)
+    real(wp) :: none(0)
+    inertia = 0.0_wp
+    inertia(1, 1) = 1.0_wp
+    inertia(2, 2) = 1.0_wp
+    inertia(3, 3) = 1.0_wp
+    position(1, :) = [0.505_wp, 0.3_wp, 0.8_wp]
+    velocity(1, :) = [-1.0_wp, 0.2_wp, -0.3_wp]
+    call net_of([0.3_wp], [.false.], no_cable, none, none, none, .true., position, velocity, model, state)
+    call add_spinning_body(inertia, [1.0_wp, 0.0_wp, 0.0_wp, 0.0_wp], [0.0_wp, 0.0_wp, 0.0_wp], model, state)
+    model%target%fixed = .true.
+    model%target%inverse_mass = 0.0_wp
+    model%target%inverse_inertia = 0.0_wp
+    call new_shape(model%target%shape, 'box', [1.0_wp, 1.0_wp, 2.0_wp], error)
+    allocate (model%contact, state%impulse_histogram(impulse_bins))
+    state%impulse_histogram = 0
+    model%contact%threshold = 0.01_wp
+    model%orbit_rate = 0.5_wp
+    call new_contact_work(work, model)
+    call handle_contacts(model, state, work, error)
+    call expect_close(state%node_velocity(1, :), [1.0_wp, 0.2_wp, -0.3_wp], 'mirrored', atol=1.0e-14_wp)
+  end subroutine fixed_in_orbit
+
+  !> A chain between a wall and an end that is pulled away at v and swung aside: energy and
+  !> damping's loss are what the support has put in, to the order of the method.
+  subroutine moving_support()
+    integer, parameter :: n = 6
+    type(model_t) :: model
+    type(state_t) :: state
+    type(work_t) :: work
+    real(wp) :: s(n), mass(n), start, error(2)
+    logical :: fixed(n)
+    integer :: i, j
+    s = [(0.11_wp*j, j=1, n)]
+    mass = 0.02_wp
+    fixed = .false.
+    fixed([1, n]) = .true.
+    do i = 1, 2
+      do j = 1, 2
+        call chain(s, [0.0_wp, 0.6_wp, 0.8_wp], mass, fixed, 50.0_wp, 0.1_wp, 0.05_wp, model, state)
+        state%node_velocity(n, :) = [0.05_wp, 0.2_wp, 0.3_wp]
+        start = mechanical_energy(model, state)
+        call ready(model, state, work, methods(i), 2.0e-3_wp/j)
+        call fly(model, state, work, 300*j)
+        error(j) = abs(mechanical_energy(model, state) + state%ledger%dissipated - state%ledger%external_work - start)
+      end do
+      call expect(state%ledger%external_work > 0.5_wp*start, 'the support has worked')
+      call expect_close(state%node_position(n, :), 0.66_wp*[0.0_wp, 0.6_wp, 0.8_wp] + 0.6_wp*[0.05_wp, 0.2_wp, 0.3_wp], &
+                        'and moved as it was told', atol=1.0e-13_wp)
+      call note('work of a support '//words(state%ledger%external_work)//' J, balance off by '//words(error(1))//' '// &
+                words(error(2))//' J at h, h/2')
+      call expect(error(2) < error(1)/merge(12.0_wp, 3.0_wp, i == 1), 'the balance is of the method''s order')
+      call expect(error(2) < merge(1.0e-6_wp, 1.0e-2_wp, i == 1)*start, 'and small')
+    end do
+  end subroutine moving_support
 
   !> One node against a spinning box off its centre, e = 1: impulses are elastic against the
   !> turning frame, and the integral ½ m v² + ½ w I w - W . L stays to round-off.

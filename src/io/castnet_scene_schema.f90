@@ -20,7 +20,7 @@ module castnet_scene_schema
   character(len=*), parameter :: pending_methods = 'midpoint adaptive'
   logical, parameter :: pending_friction = .false.
   logical, parameter :: pending_closing = .false.
-  logical, parameter :: pending_orbit = .true.
+  logical, parameter :: pending_orbit = .false.
 
   character(len=*), parameter :: scene_groups = &
     'net bullets target part contact closing environment time output perturb'

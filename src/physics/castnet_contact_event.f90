@@ -133,8 +133,8 @@ contains
                                           work%node_gap, work%list)
       if (work%list%n == 0) return
       rate = multiply(r, body%angular_velocity)
-      ! Against the frame: its rate is (0, -n, 0).
-      rate(2) = rate(2) + model%orbit_rate
+      ! Against the frame: its rate is (0, -n, 0). A fixed target is fixed in the frame.
+      if (.not. model%target%fixed) rate(2) = rate(2) + model%orbit_rate
       call set_velocities(net%n_pad, state%node_velocity, body%velocity, rate, work%list)
     end associate
   end subroutine detect_contacts

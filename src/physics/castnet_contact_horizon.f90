@@ -13,8 +13,8 @@
 !> no faster than the faster one, so the same holds with the segment's distance.
 !>
 !> With fixed nodes the net's momentum is not kept: then V = 0 and E is taken at rest,
-!> where the supports do no work; gravity would feed that energy, so there is no bound
-!> with both. In an orbital frame and with a winch that may pull there is none either.
+!> where the supports do no work; gravity would feed that energy, and so do supports that
+!> are led along: then there is no bound. In an orbital frame and with a winch that may pull there is none either.
 !>
 !> The exact flow obeys the bound; the integrator adds its own error when a slack cable
 !> snaps taut, for which E is taken `energy_margin` times larger.
@@ -74,7 +74,9 @@ contains
     type(model_t), intent(in) :: model
     type(state_t), intent(in) :: state
     bound_exists = .not. abs(model%orbit_rate) > 0.0_wp .and. model%contact%law == law_impulse
-    if (any(model%net%fixed) .and. any(abs(model%gravity) > 0.0_wp)) bound_exists = .false.
+    if (any(model%net%fixed)) then
+      if (any(abs(model%gravity) > 0.0_wp) .or. supports_move(model%net, state%node_velocity)) bound_exists = .false.
+    end if
     if (.not. allocated(model%closing)) return
     select case (model%closing%trigger)
     case (trigger_contact)
@@ -89,6 +91,17 @@ contains
       if (state%closing%triggered) bound_exists = .false.
     end if
   end function bound_exists
+
+  !> Is a fixed node led along? Then it does work on the net.
+  pure logical function supports_move(net, v)
+    type(net_t), intent(in) :: net
+    real(wp), intent(in) :: v(:, :)
+    integer :: i
+    supports_move = .false.
+    do i = 1, net%n_node
+      if (net%fixed(i)) supports_move = supports_move .or. any(abs(v(i, :)) > 0.0_wp)
+    end do
+  end function supports_move
 
   !> Velocity of the net's frame of least energy, and the energy in it.
   pure subroutine net_motion(net, n_pad, x, v, drift, energy)

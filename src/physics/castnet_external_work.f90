@@ -1,7 +1,8 @@
 !> Work that the surroundings do on net and target: gravity, the orbital frame, a constant
 !> force. All three have a potential, so the work over a step is the potential's fall, and
-!> no error of a quadrature enters the ledger. A torque in body axes has none: the
-!> integrator adds its work stage by stage. A scene without any of these never comes here.
+!> no error of a quadrature enters the ledger. A torque in body axes has none, nor have
+!> fixed nodes that are led along: the integrator adds their work stage by stage. A scene
+!> without any of these never comes here.
 !>
 !> In the orbital frame (castnet_body_dynamics, `orbital_acceleration`) the tidal and
 !> centrifugal forces have the potential n^2 (y^2 - 3 z^2)/2 per mass; Coriolis' force does

@@ -22,6 +22,7 @@ module castnet_integrator
     real(wp), allocatable :: loose_force(:, :)     !! (n_loose,3) [N]
     real(wp), allocatable :: loose_power(:)        !! (n_loose) [W]
     real(wp), allocatable :: chunk_power(:)        !! (n_chunk) [W]
+    real(wp), allocatable :: support_power(:)      !! (n_chunk) done by fixed nodes that are led along, where there are any [W]
     real(wp), allocatable :: weight(:)             !! (n_pad) 1/mass; 1 where a field has already divided [1/kg]
     real(wp), allocatable :: thread_impulse(:, :)  !! (n_pad,3) of the closing threads over a step, only with them [N s]
     real(wp), allocatable :: extra(:, :)           !! (n_pad,3) forces besides cables, only where a scene has some [N]
@@ -60,6 +61,7 @@ contains
       allocate (work%cables%loose_force(plan%n_loose, 3), work%cables%loose_power(plan%n_loose), source=0.0_wp)
     end associate
     allocate (work%cables%chunk_power((n + chunk_size - 1)/chunk_size), source=0.0_wp)
+    if (any(model%net%fixed)) allocate (work%cables%support_power((n + chunk_size - 1)/chunk_size), source=0.0_wp)
     work%cables%weight = model%net%inverse_mass
     if (any(model%gravity /= 0.0_wp) .or. model%orbit_rate /= 0.0_wp) work%cables%weight = 1.0_wp
     if (has_extra_force(model)) allocate (work%cables%extra(n, 3), source=0.0_wp)
@@ -76,7 +78,8 @@ contains
     real(wp), intent(in) :: h !! [s]
     type(body_state_t), allocatable :: body
     type(body_rate_t) :: k(4)
-    real(wp) :: power(4)  !! taken by the cables' damping at each stage [W]
+    real(wp) :: power(2, 4)  !! of the cables' damping and of the supports at each stage [W]
+    real(wp) :: work_done(2)
     logical :: has_net, moves
     integer :: n
 
@@ -92,21 +95,21 @@ contains
         body, state%closing, work%cables%extra, work%body_force, work%body_torque, h/6.0_wp, work%cables%thread_impulse)
     if (moves) k(1) = body_rate(model, body, work%body_force, work%body_torque)
     if (has_net) call sweep(model, work%cables, stage_first, n, 0.5_wp*h, state%node_position, state%node_velocity, &
-        work%xb, work%vb, work%xa, work%va, work%sum_x, work%sum_v, power(1))
+        work%xb, work%vb, work%xa, work%va, work%sum_x, work%sum_v, power(:, 1))
 
     if (moves) body = body_advance(state%target, k(1), 0.5_wp*h)
     if (allocated(work%cables%extra)) call gather_extra_force(model, n, work%xa, work%va, &
         body, state%closing, work%cables%extra, work%body_force, work%body_torque, h/3.0_wp, work%cables%thread_impulse)
     if (moves) k(2) = body_rate(model, body, work%body_force, work%body_torque)
     if (has_net) call sweep(model, work%cables, stage_middle, n, 0.5_wp*h, work%xa, work%va, &
-        state%node_position, state%node_velocity, work%xb, work%vb, work%sum_x, work%sum_v, power(2))
+        state%node_position, state%node_velocity, work%xb, work%vb, work%sum_x, work%sum_v, power(:, 2))
 
     if (moves) body = body_advance(state%target, k(2), 0.5_wp*h)
     if (allocated(work%cables%extra)) call gather_extra_force(model, n, work%xb, work%vb, &
         body, state%closing, work%cables%extra, work%body_force, work%body_torque, h/3.0_wp, work%cables%thread_impulse)
     if (moves) k(3) = body_rate(model, body, work%body_force, work%body_torque)
     if (has_net) call sweep(model, work%cables, stage_middle, n, h, work%xb, work%vb, &
-        state%node_position, state%node_velocity, work%xa, work%va, work%sum_x, work%sum_v, power(3))
+        state%node_position, state%node_velocity, work%xa, work%va, work%sum_x, work%sum_v, power(:, 3))
 
     if (moves) body = body_advance(state%target, k(3), h)
     if (allocated(work%cables%extra)) call gather_extra_force(model, n, work%xa, work%va, &
@@ -118,10 +121,13 @@ contains
       call body_rk4(state%target, k(1), k(2), k(3), k(4), h)
     end if
     if (has_net) call sweep(model, work%cables, stage_last, n, h/6.0_wp, work%xa, work%va, &
-        state%node_position, state%node_velocity, work%xb, work%vb, work%sum_x, work%sum_v, power(4))
+        state%node_position, state%node_velocity, work%xb, work%vb, work%sum_x, work%sum_v, power(:, 4))
     call credit_winch(work%cables, state)
-    if (has_net) state%ledger%dissipated = state%ledger%dissipated &
-        + h/6.0_wp*((power(1) + 2.0_wp*(power(2) + power(3))) + power(4))
+    if (has_net) then
+      work_done = h/6.0_wp*((power(:, 1) + 2.0_wp*(power(:, 2) + power(:, 3))) + power(:, 4))
+      state%ledger%dissipated = state%ledger%dissipated + work_done(1)
+      state%ledger%external_work = state%ledger%external_work + work_done(2)
+    end if
     state%force_evaluations = state%force_evaluations + 4
   end subroutine rk4_step
 
@@ -144,7 +150,7 @@ contains
     type(flow_work_t), intent(inout) :: work
     real(wp), intent(in) :: h !! [s]
     type(body_state_t), allocatable :: body
-    real(wp) :: power  !! taken by the cables' damping [W]
+    real(wp) :: power(2)  !! of the cables' damping and of the supports [W]
     logical :: moves, coupled
     integer :: n
 
@@ -164,7 +170,8 @@ contains
       end if
       call sweep(model, work%cables, stage_kick, n, h, work%xa, state%velocity_ahead, &
                  state%node_position, state%node_velocity, work%xb, work%vb, work%sum_x, work%sum_v, power)
-      state%ledger%dissipated = state%ledger%dissipated + h*power
+      state%ledger%dissipated = state%ledger%dissipated + h*power(1)
+      state%ledger%external_work = state%ledger%external_work + h*power(2)
       call credit_winch(work%cables, state)
       call swap(work%xa, work%xb)    ! xa: the next midpoint, xb: this one
       call swap(state%velocity_ahead, work%vb)
@@ -260,7 +267,7 @@ contains
     real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)
     real(wp), intent(inout) :: x0(n_pad, 3), v0(n_pad, 3), x_out(n_pad, 3), v_out(n_pad, 3)
     real(wp), intent(inout) :: sum_x(n_pad, 3), sum_v(n_pad, 3)
-    real(wp), intent(out) :: power  !! taken by the damping of all cables [W]
+    real(wp), intent(out) :: power(2)  !! taken by the damping of all cables; done by moving supports [W]
     real(wp) :: floor_tension
     integer :: s
 
@@ -281,8 +288,10 @@ contains
       end do
       !$omp end parallel do
     end if
-    power = sum_in_order(size(cables%chunk_power), cables%chunk_power) &
-            + sum_in_order(size(cables%loose_power), cables%loose_power)
+    power(1) = sum_in_order(size(cables%chunk_power), cables%chunk_power) &
+               + sum_in_order(size(cables%loose_power), cables%loose_power)
+    power(2) = 0.0_wp
+    if (allocated(cables%support_power)) power(2) = sum_in_order(size(cables%support_power), cables%support_power)
   end subroutine sweep
 
   !> The chunks of one slab.
@@ -309,6 +318,8 @@ contains
         call chunk_cables(plan, slab, b, b + m - 1, n_pad, x, v, floor_tension, cables%chunk_power((b - 1)/chunk_size + 1))
         call chunk_force(plan, slab, b, b + m - 1, cables%loose_force, a)
         if (allocated(cables%extra)) a(:m, :) = a(:m, :) + cables%extra(b:b + m - 1, :)
+        if (allocated(cables%support_power)) cables%support_power((b - 1)/chunk_size + 1) = &
+            power_of_supports(m, net%fixed(b), n_pad, b, v, a)
         ! Without a field, the update itself divides by the mass: one pass less.
         if (has_field) call force_to_acceleration(model, m, net%inverse_mass(b), n_pad, b, x, v, a)
         do c = 1, 3
@@ -327,6 +338,20 @@ contains
       end do
     end associate
   end subroutine sweep_slab
+
+  !> A fixed node keeps the velocity that it is given: what leads it along works against the
+  !> force on it [W].
+  pure real(wp) function power_of_supports(m, fixed, n_pad, b, v, force) result(power)
+    integer, intent(in) :: m, n_pad, b
+    logical, intent(in) :: fixed(m)
+    real(wp), intent(in) :: v(n_pad, 3)
+    real(wp), intent(in) :: force(chunk_size, 3) !! [N]
+    integer :: k
+    power = 0.0_wp
+    do k = 1, m
+      if (fixed(k)) power = power - (force(k, 1)*v(b + k - 1, 1) + force(k, 2)*v(b + k - 1, 2) + force(k, 3)*v(b + k - 1, 3))
+    end do
+  end function power_of_supports
 
   !> Force -> acceleration, with gravity and the orbital frame on nodes that are free.
   subroutine force_to_acceleration(model, m, inverse_mass, n_pad, b, x, v, a)
