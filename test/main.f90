@@ -6,6 +6,7 @@ program main
   use test_command_line, only: run_test_command_line
   use test_contact, only: run_test_contact
   use test_convex_hull, only: run_test_convex_hull
+  use test_deployment, only: run_test_deployment
   use test_diagnostics, only: run_test_diagnostics
   use test_friction, only: run_test_friction
   use test_log, only: run_test_log
@@ -42,6 +43,7 @@ program main
   call run_test_command_line()
   call run_test_contact()
   call run_test_convex_hull()
+  call run_test_deployment()
   call run_test_diagnostics()
   call run_test_friction()
   call run_test_log()

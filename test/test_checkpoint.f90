@@ -65,6 +65,16 @@ contains
     state%closing%pulling = .true.
     state%closing%rest_length = [1.0_wp, 2.0_wp, 3.0_wp, 4.0_wp]
     state%closing%locked = [.true., .false., .true., .false.]
+    allocate (state%deployment)
+    state%deployment%begun = .true.
+    state%deployment%start = [5.1_wp, 5.2_wp, 5.3_wp]
+    state%deployment%time = 5.4_wp
+    state%deployment%area = 5.5_wp
+    state%deployment%distance = 5.6_wp
+    state%deployment%largest_area = 5.7_wp
+    state%deployment%largest_time = 5.8_wp
+    state%deployment%largest_distance = 5.9_wp
+    state%deployment%time_at = [(i/7.0_wp, i=1, size(state%deployment%time_at))]
     state%ledger%dissipated = 0.11_wp
     state%ledger%contact_loss = 0.12_wp
     state%ledger%winch_work = 0.13_wp
@@ -129,12 +139,17 @@ contains
                           [state%closing%start_time, state%closing%rest_length]), 'closing')
     call expect(back%closing%triggered .and. back%closing%pulling .and. &
                 all(back%closing%locked .eqv. state%closing%locked), 'latches')
+    call expect(back%deployment%begun .and. same_bits([back%deployment%start, back%deployment%time, back%deployment%area, &
+                back%deployment%distance, back%deployment%largest_area, back%deployment%largest_time, &
+                back%deployment%largest_distance, back%deployment%time_at], [state%deployment%start, &
+                state%deployment%time, state%deployment%area, state%deployment%distance, state%deployment%largest_area, &
+                state%deployment%largest_time, state%deployment%largest_distance, state%deployment%time_at]), 'deployment')
     call expect(all(back%impulse_histogram == state%impulse_histogram), 'histogram')
     call expect(back%measures(2)%verdict == 2 .and. same_bits([back%measures%cqi], [state%measures%cqi]), 'measures')
     call expect(state_hash(back) == state_hash(state), 'the hash of the whole state')
     ! A new component of state_t changes this number: add it to exchange_state of
     ! castnet_checkpoint and to fill above, then correct the number here.
-    call expect_equal(storage_size(state)/8, 632, 'bytes of state_t (see the comment in the test)')
+    call expect_equal(storage_size(state)/8, 640, 'bytes of state_t (see the comment in the test)')
     state%tally%contact_iterations = 29
     call expect(state_hash(back) /= state_hash(state), 'another state, another hash')
     call clean()

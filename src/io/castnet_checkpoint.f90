@@ -16,7 +16,7 @@
 module castnet_checkpoint
   use castnet_kinds, only: wp, i8
   use castnet_error, only: error_t, fail, exit_file
-  use castnet_state, only: state_t, body_state_t, closing_state_t
+  use castnet_state, only: state_t, body_state_t, closing_state_t, deployment_state_t
   use castnet_record, only: capture_measures_t
   use castnet_text, only: folder_of
   use castnet_posix, only: create_file, read_file, rename_file, remove_file, link_file, sync_path, file_failure, path_kind, &
@@ -208,6 +208,12 @@ contains
       if (.not. allocated(state%closing)) allocate (state%closing)
       call exchange_closing(archive, state%closing)
     end if
+    there = allocated(state%deployment)
+    call exchange_presence(archive, 'deployment', there)
+    if (there) then
+      if (.not. allocated(state%deployment)) allocate (state%deployment)
+      call exchange_deployment(archive, state%deployment)
+    end if
     call exchange(archive, 'ledger/dissipated', state%ledger%dissipated)
     call exchange(archive, 'ledger/contact_loss', state%ledger%contact_loss)
     call exchange(archive, 'ledger/winch_work', state%ledger%winch_work)
@@ -253,6 +259,20 @@ contains
     call exchange(archive, 'closing/rest_length', closing%rest_length)
     call exchange(archive, 'closing/locked', closing%locked)
   end subroutine exchange_closing
+
+  subroutine exchange_deployment(archive, deployment)
+    type(archive_t), intent(inout) :: archive
+    type(deployment_state_t), intent(inout) :: deployment
+    call exchange(archive, 'deployment/begun', deployment%begun)
+    call exchange(archive, 'deployment/start', deployment%start)
+    call exchange(archive, 'deployment/time', deployment%time)
+    call exchange(archive, 'deployment/area', deployment%area)
+    call exchange(archive, 'deployment/distance', deployment%distance)
+    call exchange(archive, 'deployment/largest_area', deployment%largest_area)
+    call exchange(archive, 'deployment/largest_time', deployment%largest_time)
+    call exchange(archive, 'deployment/largest_distance', deployment%largest_distance)
+    call exchange(archive, 'deployment/time_at', deployment%time_at)
+  end subroutine exchange_deployment
 
   !> The capture measures taken so far, as a table.
   subroutine exchange_measures(archive, measures)

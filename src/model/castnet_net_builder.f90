@@ -49,6 +49,7 @@ contains
     net%n_cable = sides*group%cables_per_side + n_bullet
     net%clamp_tension = group%clamp_tension
     net%side_length = maxval(group%squares)*group%mesh_length
+    net%flat_area = real(ny, wp)*real(nz, wp)*group%mesh_length**2
     length = group%mesh_length/group%cables_per_side
     area = 0.25_wp*pi*group%cable_diameter**2
     edge_area = 0.25_wp*pi*group%edge_cable_diameter**2

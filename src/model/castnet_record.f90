@@ -3,7 +3,7 @@ module castnet_record
   use castnet_kinds, only: wp, i8
   implicit none
   private
-  public :: history_row_t, capture_measures_t, summary_t, thresholds_t
+  public :: history_row_t, capture_measures_t, summary_t, thresholds_t, deployment_t
   public :: verdict_failed, verdict_marginal, verdict_captured
 
   integer, parameter :: verdict_failed = 0, verdict_marginal = 1, verdict_captured = 2
@@ -46,6 +46,16 @@ module castnet_record
     integer :: verdict = verdict_failed
   end type capture_measures_t
 
+  !> How the net deployed (castnet_deployment).
+  type :: deployment_t
+    real(wp) :: largest_mouth_area = 0.0_wp  !! [m2]
+    real(wp) :: deployment_time = 0.0_wp     !! when the mouth was largest [s]
+    real(wp) :: deployment_distance = 0.0_wp !! of the net's centre of mass from its start then [m]
+    real(wp) :: distance_travelled = 0.0_wp  !! the same at the end [m]
+    real(wp) :: effective_period = 0.0_wp    !! time with the mouth above 80 % of its largest area [s]
+    real(wp) :: open_period = 0.0_wp         !! time with it above 80 % of the net's flat area [s]
+  end type deployment_t
+
   !> /summary of a run.
   type :: summary_t
     type(capture_measures_t), allocatable :: measures(:)
@@ -54,6 +64,7 @@ module castnet_record
     real(wp) :: impulse_percentiles(4) = 0.0_wp !! 50, 95, 99, 99.9 [N s]
     real(wp) :: first_contact = 0.0_wp       !! [s], NaN: none
     real(wp) :: closing_start = 0.0_wp       !! [s], NaN: none
+    type(deployment_t) :: deployment         !! all NaN without a mouth of known size
     real(wp) :: wall_time = 0.0_wp           !! [s]
     integer(i8) :: steps = 0, force_evaluations = 0
   end type summary_t

@@ -8,7 +8,8 @@ module castnet_state
   use castnet_record, only: capture_measures_t
   implicit none
   private
-  public :: state_t, body_state_t, closing_state_t, ledger_t, tally_t, schedule_t
+  public :: state_t, body_state_t, closing_state_t, deployment_state_t, ledger_t, tally_t, schedule_t
+  public :: area_bins, area_bins_per_unit
   public :: impulse_bins, impulse_bin_low, impulse_bins_per_decade
 
   !> Impulses of single contacts are counted in logarithmic bins, so that their
@@ -17,6 +18,11 @@ module castnet_state
   integer, parameter :: impulse_bins = 4000
   integer, parameter :: impulse_bins_per_decade = 200
   real(wp), parameter :: impulse_bin_low = 1.0e-14_wp !! [N s]
+
+  !> The time that the mouth spent at each area is counted in bins, parts of the net's flat
+  !> area: up to 1.28 of it, so that a stretched net fits.
+  integer, parameter :: area_bins = 1024
+  real(wp), parameter :: area_bins_per_unit = 800.0_wp
 
   !> The rigid target.
   type :: body_state_t
@@ -34,6 +40,19 @@ module castnet_state
     real(wp) :: rest_length(4) = 0.0_wp       !! ratchet [m]
     logical :: locked(4) = .false.
   end type closing_state_t
+
+  !> How the net has deployed, as seen at the history rows (castnet_deployment).
+  type :: deployment_state_t
+    logical :: begun = .false.                !! a row has been seen
+    real(wp) :: start(3) = 0.0_wp             !! the net's centre of mass at t = 0 [m]
+    real(wp) :: time = 0.0_wp                 !! of the last row [s]
+    real(wp) :: area = 0.0_wp                 !! of the mouth at the last row [m2]
+    real(wp) :: distance = 0.0_wp             !! of the centre of mass from its start at the last row [m]
+    real(wp) :: largest_area = 0.0_wp         !! of the mouth so far [m2]
+    real(wp) :: largest_time = 0.0_wp         !! when that was [s]
+    real(wp) :: largest_distance = 0.0_wp     !! how far the net was then [m]
+    real(wp) :: time_at(area_bins) = 0.0_wp   !! spent with the mouth in each bin of area [s]
+  end type deployment_state_t
 
   !> Energy that left or entered net and target, since t = 0 [J].
   type :: ledger_t
@@ -75,6 +94,7 @@ module castnet_state
     real(wp), allocatable :: velocity_ahead(:, :)    !! (n_pad,3) extrapolated to the next midpoint, method 'midpoint' only [m/s]
     type(body_state_t), allocatable :: target
     type(closing_state_t), allocatable :: closing
+    type(deployment_state_t), allocatable :: deployment !! with a mouth whose flat area is known
     type(ledger_t) :: ledger
     type(tally_t) :: tally
     type(schedule_t) :: schedule

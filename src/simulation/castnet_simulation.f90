@@ -3,12 +3,13 @@
 module castnet_simulation
   use castnet_kinds, only: wp, i8
   use castnet_capture_measures, only: measure_capture
+  use castnet_deployment, only: begin_deployment, observe_deployment, deployment_of
   use castnet_diagnostics, only: record_history, impulse_percentiles, check_finite, net_kinetic_energy, &
                                  target_kinetic_energy, elastic_energy
   use castnet_error, only: error_t, fail, exit_numerical
   use castnet_model, only: model_t
   use castnet_model_builder, only: file_net_t
-  use castnet_record, only: history_row_t, summary_t, thresholds_t, verdict_captured
+  use castnet_record, only: deployment_t, history_row_t, summary_t, thresholds_t, verdict_captured
   use castnet_scene, only: scene_t
   use castnet_setup, only: step_report_t, set_up
   use castnet_state, only: state_t, tally_t
@@ -65,6 +66,7 @@ contains
       sim%checkpoint_interval = max(scene%output%checkpoint_interval, sim%model%step)
     sim%verdict_times = scene%output%verdict_times
     sim%energy_start = mechanical_energy(sim%model, sim%state)
+    call begin_deployment(sim%model, sim%state)
     ! A node that starts within the threshold and approaches is in contact at once.
     if (allocated(sim%model%contact) .and. .not. present(resumed)) call meet(sim%model, sim%state, sim%work, error)
     if (present(resumed)) then
@@ -178,6 +180,7 @@ contains
     type(simulation_t), intent(inout) :: sim
     type(history_row_t) :: row
     row = record_history(sim%model, sim%state)
+    call observe_deployment(sim%model, sim%state)
     sim%state%tally = tally_t()
     sim%state%schedule%rows = sim%state%schedule%rows + 1
     sim%state%schedule%row_step = sim%state%step
@@ -206,6 +209,11 @@ contains
     summary%closing_start = nan
     if (allocated(sim%state%closing)) then
       if (sim%state%closing%pulling) summary%closing_start = sim%state%closing%start_time
+    end if
+    if (allocated(sim%state%deployment)) then
+      summary%deployment = deployment_of(sim%state%deployment, sim%model%net%flat_area)
+    else
+      summary%deployment = deployment_t(nan, nan, nan, nan, nan, nan)
     end if
     summary%wall_time = wall_time
     summary%steps = sim%state%step
