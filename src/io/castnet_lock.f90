@@ -8,7 +8,8 @@ module castnet_lock
   use castnet_kinds, only: i8
   use castnet_error, only: error_t, fail, exit_file
   use castnet_text, only: to_text, parse_integer
-  use castnet_posix, only: create_file, read_file, remove_if_unchanged, is_existing, process_id, process_is_alive, &
+  use castnet_posix, only: create_file, link_file, remove_file, read_file, remove_if_unchanged, is_existing, process_id, &
+                           process_is_alive, &
                            process_start, host_name, time_stamp, file_failure
   implicit none
   private
@@ -36,7 +37,7 @@ contains
     ours = 'process '//to_text(process_id())//new_line('a')//'host '//host_name()//new_line('a')// &
            'started '//to_text(process_start(process_id()))//new_line('a')//'since '//time_stamp()//new_line('a')
     do try = 1, most_tries
-      number = create_file(lock%path, ours)
+      number = create_whole(lock%path, ours)
       if (number == 0) then
         lock%content = ours
         return
@@ -56,6 +57,21 @@ contains
     end do
     call fail(error, exit_file, "cannot take '"//lock%path//"': others keep taking and leaving it; try again")
   end subroutine take_lock
+
+  !> Create a file that is never seen half written, even if this process is killed: made
+  !> aside, then given its name. Where a file system has no second names, made in place.
+  integer function create_whole(path, bytes) result(number)
+    character(len=*), intent(in) :: path, bytes
+    character(len=:), allocatable :: aside
+    integer :: ignored
+    aside = path//'.'//to_text(process_id())
+    ignored = remove_file(aside)
+    number = create_file(aside, bytes)
+    if (number /= 0) return
+    number = link_file(aside, path)
+    ignored = remove_file(aside)
+    if (number /= 0 .and. .not. is_existing(number)) number = create_file(path, bytes)
+  end function create_whole
 
   !> Give the lock back; nothing happens if none is held or it is no longer ours.
   subroutine release_lock(lock)
