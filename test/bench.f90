@@ -8,18 +8,19 @@ program bench
   use castnet_setup, only: set_up, step_report_t
   use castnet_state, only: state_t
   use castnet_stepper, only: work_t, advance
+  use scenes, only: shot, rocket_shot, cubesat_shot
   implicit none
 
-  call time_net('rocket', 20, 1.5_wp, 1.0e-3_wp, 1.0e-3_wp, 1.0_wp, 10.0_wp, 2.12_wp, 1.0e-3_wp)
-  call time_net('cubesat', 10, 0.07_wp, 1.0e-3_wp, 3.0e-3_wp, 0.03_wp, 1.8_wp, 0.099_wp, 5.0e-5_wp)
-  call time_net('large', 160, 0.2_wp, 1.0e-3_wp, 1.0e-3_wp, 0.03_wp, 1.8_wp, 0.28_wp, 1.0e-4_wp)
+  call time_net('rocket', rocket_shot(), 1.0e-3_wp)
+  call time_net('cubesat', cubesat_shot(), 5.0e-5_wp)
+  call time_net('large', shot([160, 160], 0.2_wp, 1.0e-3_wp, 1.0e-3_wp, 0.03_wp, 1.8_wp), 1.0e-4_wp)
 
 contains
 
-  subroutine time_net(name, squares, mesh, diameter, edge, mass, speed, corner, step)
+  subroutine time_net(name, scene_of_net, step)
     character(len=*), intent(in) :: name
-    integer, intent(in) :: squares
-    real(wp), intent(in) :: mesh, diameter, edge, mass, speed, corner, step
+    type(scene_t), intent(in) :: scene_of_net
+    real(wp), intent(in) :: step
     type(scene_t) :: scene
     type(model_t) :: model
     type(state_t) :: state
@@ -34,18 +35,9 @@ contains
 
     method = ['rk4     ', 'midpoint']
     do m = 1, 2
-      allocate (scene%net, scene%bullets)
-      scene%net%squares = squares
-      scene%net%mesh_length = mesh
-      scene%net%cable_diameter = diameter
-      scene%net%edge_cable_diameter = edge
-      scene%bullets%mass = mass
-      scene%bullets%speed = speed
-      scene%bullets%corner_cable_length = corner
-      scene%time%end_time = 10.0_wp
+      scene = scene_of_net
       scene%time%step = step
       scene%time%method = method(m)
-      scene%output%verdict_times = [10.0_wp]
       call set_up(scene, 1, no_file, model, state, work, report, error)
       if (allocated(error)) then
         print '(a)', error%message
@@ -65,7 +57,6 @@ contains
       end do
       print '(a,1x,a,i8,a,f8.2,a,f10.4,3es14.6)', name, method(m), model%net%n_node, ' nodes', best, &
         ' ns per node-step, t=', state%time, state%node_position(model%net%n_node, :)
-      deallocate (scene%net, scene%bullets)
     end do
   end subroutine time_net
 

@@ -20,12 +20,14 @@ program main
   use test_run_writer, only: run_test_run_writer
   use test_scene_file, only: run_test_scene_file
   use test_segment, only: run_test_segment
+  use test_setup, only: run_test_setup
   use test_shape, only: run_test_shape
   use test_stable_step, only: run_test_stable_step
   use test_study, only: run_test_study
   use test_study_file, only: run_test_study_file
   use test_text, only: run_test_text
   use test_threads, only: run_test_threads
+  use testing, only: finish
   use verify_catenary, only: run_verify_catenary
   use verify_chain, only: run_verify_chain
   use verify_closing, only: run_verify_closing
@@ -35,7 +37,6 @@ program main
   use verify_pulled_cable, only: run_verify_pulled_cable
   use verify_snap, only: run_verify_snap
   use verify_torque_free, only: run_verify_torque_free
-  use testing, only: finish
   implicit none
   call run_test_cable_contact()
   call run_test_capture_measures()
@@ -57,6 +58,7 @@ program main
   call run_test_run_writer()
   call run_test_scene_file()
   call run_test_segment()
+  call run_test_setup()
   call run_test_shape()
   call run_test_stable_step()
   call run_test_study()

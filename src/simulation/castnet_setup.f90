@@ -6,6 +6,9 @@ module castnet_setup
   use castnet_integrator, only: midpoint_begin
   use castnet_model, only: model_t, method_midpoint
   use castnet_model_builder, only: file_net_t, build_model
+  use castnet_net, only: net_t
+  use castnet_net_builder, only: build_square_net
+  use castnet_perturb, only: perturbation_t
   use castnet_scene, only: scene_t
   use castnet_stable_step, only: spectrum_t, net_spectrum, widen_by_thread, largest_stable_step
   use castnet_state, only: state_t
@@ -61,13 +64,18 @@ contains
     type(state_t), intent(in) :: state
     type(step_report_t), intent(out) :: report
     type(error_t), allocatable, intent(inout) :: error
+    type(perturbation_t) :: nominal
+    type(net_t) :: net
+    real(wp), allocatable :: position(:, :), velocity(:, :)
     real(wp) :: spin, net_limit
     character(len=:), allocatable :: thread
 
     thread = ''
     if (allocated(model%net)) then
       if (scene%net%kind == 'square') then
-        call net_spectrum(model%net, report%spectrum, state%node_position)
+        ! Directions of the taut net are those of the stowed one, without its perturbation.
+        call build_square_net(scene%net, scene%bullets, nominal, net, position, velocity)
+        call net_spectrum(model%net, report%spectrum, position)
       else
         call net_spectrum(model%net, report%spectrum)
       end if
