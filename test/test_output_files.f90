@@ -108,8 +108,11 @@ contains
     ignored = remove_file(output())
     call try(output(), none, .false., .false., '--restart')
     call try(output(), none, .false., .true., '')
+    ignored = create_file(output()//'.checkpoint', 'data')
     call clear_leftovers(output())
-    call expect_equal(path_kind(output()//'.part'), path_nothing, 'cleared')
+    call expect_equal(path_kind(output()//'.checkpoint'), path_nothing, 'an old checkpoint is cleared')
+    call expect_equal(path_kind(output()//'.part'), path_file, 'OUTPUT.part is not')
+    ignored = remove_file(output()//'.part')
 
   contains
 
@@ -143,7 +146,7 @@ contains
     ignored = read_file(output()//'.part', bytes)
     call expect(bytes == repeat('0123456789', 200000), 'the copy')
     ignored = remove_file(output())
-    call clear_leftovers(output())
+    ignored = remove_file(output()//'.part')
   end subroutine test_stage
 
   subroutine test_posix()

@@ -12,7 +12,7 @@ module castnet_meta_writer
   use castnet_hdf5_reader, only: dataset_t, ask_dataset, read_longs, class_integer
   implicit none
   private
-  public :: run_info_t, write_meta, continue_meta, replace_first_counts, first_count, end_meta
+  public :: run_info_t, write_meta, continue_meta, first_count, end_meta
 
   !> What /meta says about how the file came to be, and what is known of the run ahead.
   type :: run_info_t
@@ -72,20 +72,6 @@ contains
     call close_group(file, sessions)
     call close_group(file, meta)
   end subroutine continue_meta
-
-  !> The schedule's counts at the file's first frame and row.
-  subroutine replace_first_counts(file, frame, row, error)
-    type(hdf5_file_t), intent(inout) :: file
-    integer(i8), intent(in) :: frame, row
-    type(error_t), allocatable, intent(inout) :: error
-    type(location_t) :: meta
-    call open_group(file, file%root, 'meta', meta, error)
-    call delete_entry(file, meta, 'first_frame', error)
-    call write_value(file, meta, 'first_frame', frame, '1', error)
-    call delete_entry(file, meta, 'first_row', error)
-    call write_value(file, meta, 'first_row', row, '1', error)
-    call close_group(file, meta)
-  end subroutine replace_first_counts
 
   !> One process's share of the run: the lineage of restarts, numbered from 1.
   subroutine start_session(file, sessions, info, name, error)

@@ -97,13 +97,12 @@ contains
                                        'check the folder')
   end subroutine stage_part
 
-  !> Remove what an earlier run of the same name left beside its output, so that none of it
-  !> is taken for this run's.
+  !> Remove the checkpoints that an earlier run of the same name left, so that they are not
+  !> taken for this run's. To be called when the new OUTPUT.part is in its place: a run that
+  !> cannot start leaves everything as it was.
   subroutine clear_leftovers(output)
     character(len=*), intent(in) :: output
     integer :: ignored
-    ignored = remove_file(output//'.part')
-    ignored = remove_file(output//'.tmp')
     ignored = remove_file(output//'.checkpoint')
     ignored = remove_file(output//'.checkpoint.previous')
   end subroutine clear_leftovers

@@ -12,7 +12,7 @@ module castnet_run_writer
   use castnet_error, only: error_t, fail, exit_file
   use castnet_surface, only: surface_t
   use castnet_model, only: model_t
-  use castnet_state, only: state_t, schedule_t
+  use castnet_state, only: state_t
   use castnet_record, only: history_row_t, summary_t
   use castnet_text, only: to_text, byte_text, folder_of
   use castnet_posix, only: reserve_space, release_space, sync_path, rename_file, remove_file, free_space, file_failure
@@ -23,7 +23,7 @@ module castnet_run_writer
   use castnet_hdf5_reader, only: dataset_t, ask_dataset, read_text
   use castnet_restart_check, only: check_same_scene
   use castnet_static_writer, only: write_static
-  use castnet_meta_writer, only: run_info_t, write_meta, continue_meta, replace_first_counts, first_count, end_meta
+  use castnet_meta_writer, only: run_info_t, write_meta, continue_meta, first_count, end_meta
   use castnet_history_writer, only: history_writer_t, create_history, reopen_history, store_row, is_block_full, &
                                     waiting_rows, write_rows, history_growth, close_history
   use castnet_summary_writer, only: write_summary
@@ -75,6 +75,7 @@ contains
     type(run_info_t), intent(in) :: info
     type(error_t), allocatable, intent(inout) :: error
     integer :: number, ignored
+    if (allocated(error)) return
     call prepare(writer, path, model, surface)
     ignored = remove_file(path//'.tmp')
     call create_hdf5(writer%file, path//'.tmp', error)
@@ -104,9 +105,7 @@ contains
 
   !> Go on with OUTPUT.part after a restart: what lies behind the checkpoint is cut off.
   !> Errors: exit_file when the file is damaged, of another net, or ends before the checkpoint.
-  !> If the run goes on with other counts than the checkpoint's, because an interval has
-  !> changed, they come in `onward`, and later restarts will be understood.
-  subroutine reopen_run(writer, path, effective_text, model, surface, info, error, onward)
+  subroutine reopen_run(writer, path, effective_text, model, surface, info, error)
     type(run_writer_t), intent(out) :: writer
     character(len=*), intent(in) :: path                  !! OUTPUT; OUTPUT.part must be there
     character(len=*), intent(in) :: effective_text        !! the scene of this run
@@ -114,9 +113,9 @@ contains
     type(surface_t), intent(in), optional :: surface
     type(run_info_t), intent(in) :: info                  !! with the checkpoint's schedule
     type(error_t), allocatable, intent(inout) :: error
-    type(schedule_t), intent(in), optional :: onward
     integer(i8) :: frames, rows
     integer :: i
+    if (allocated(error)) return
     call prepare(writer, path, model, surface)
     call open_hdf5(writer%file, writer%part, .true., error)
     if (allocated(error)) then
@@ -144,8 +143,6 @@ contains
     end if
     if (has_entry(writer%file%root, 'summary')) call delete_entry(writer%file, writer%file%root, 'summary', error)
     call continue_meta(writer%file, info, writer%session, error)
-    if (present(onward)) &
-      call replace_first_counts(writer%file, onward%frames - frames, onward%rows - rows, error)
     call flush_file(writer%file, error)
     call check_room(writer, info, error)
     if (allocated(error)) call close_quietly(writer)

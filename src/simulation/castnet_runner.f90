@@ -193,10 +193,9 @@ contains
         call reopen_run(writer, options%output, effective_text, sim%model, surface, info, error)
         return
       end if
-    else
-      call clear_leftovers(options%output)
     end if
     call open_run(writer, options%output, scene%text, effective_text, sim%model, surface, info, error)
+    if (.not. allocated(error) .and. .not. allocated(options%restart)) call clear_leftovers(options%output)
   end subroutine open_writer
 
   !> Everything that is due at this step.

@@ -1,0 +1,468 @@
+#!/usr/bin/env python3
+"""Nothing lost: kills, signals, full and read-only disks, damaged checkpoints, locks.
+
+    test_faults.py PATH_TO_CASTNET [KILLS]
+
+A run that was interrupted in any way and restarted must end in the bits of the run that
+was not. KILLS (default 102) SIGKILLs fall at random moments over three scenes; the seed
+is printed. Tests that need a mount say so and are left out where mounting is forbidden.
+"""
+import hashlib
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import h5py
+import numpy as np
+import xarray as xr
+
+ROOT = Path(__file__).resolve().parents[2]
+INPUT = ROOT / "input"
+CASTNET = str(Path(sys.argv[1]).resolve())
+KILLS = int(sys.argv[2]) if len(sys.argv) > 2 else 102
+results: list[bool] = []
+
+CUBESAT = (INPUT / "cubesat.nml", ["output/checkpoint_interval=0.1"])
+DEPLOYMENT = (INPUT / "deployment_cubesat.nml", ["time/method='midpoint'", "output/checkpoint_interval=0.05"])
+CLOSING = (INPUT / "rocket_closing_x_1.1.nml", ["output/checkpoint_interval=0.5", "output/frame_interval=0.05"])
+
+VTK_READER = r"""
+import json, sys
+import vtk
+for path in sys.argv[1:]:
+    print(path, flush=True)
+    reader = vtk.vtkHDFReader()
+    reader.SetFileName(path)
+    reader.UpdateInformation()
+    steps = reader.GetNumberOfSteps()
+    for step in {0, steps // 2, steps - 1} if steps > 0 else set():
+        reader.SetStep(step)
+        reader.Update()
+        if reader.GetOutputDataObject(0).GetNumberOfPoints() == 0:
+            sys.exit(3)
+"""
+
+
+def check(name: str, good: bool, seen: object = "") -> bool:
+    """Note one claim."""
+    results.append(bool(good))
+    print(("ok    " if good else "FAIL  ") + name + ("" if good else f"\n      seen: {seen}"), flush=True)
+    return bool(good)
+
+
+def command(scene, output: Path, *more: str) -> list[str]:
+    path, settings = scene
+    line = [CASTNET, "run", str(path), "--output", str(output)]
+    for setting in settings:
+        line += ["--set", setting]
+    return line + list(more)
+
+
+def run(scene, output: Path, *more: str) -> subprocess.CompletedProcess:
+    return subprocess.run(command(scene, output, *more), capture_output=True, text=True, timeout=600, check=False)
+
+
+def start(scene, output: Path, *more: str) -> subprocess.Popen:
+    return subprocess.Popen(command(scene, output, *more), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def beside(output: Path, ending: str) -> Path:
+    return output.with_name(output.name + ending)
+
+
+def restart(scene, output: Path, *more: str) -> subprocess.CompletedProcess:
+    return run(scene, output, "--restart", str(beside(output, ".checkpoint")), *more)
+
+
+def values(path: Path) -> dict[str, bytes]:
+    """Every result of a run to the bit: all but /meta and the wall time."""
+    found: dict[str, bytes] = {}
+
+    def add(name: str, item) -> None:
+        if isinstance(item, h5py.Dataset) and not name.startswith("meta/") and name != "summary/wall_time":
+            data = item[()]
+            found[name] = repr(data.tolist()).encode() if item.dtype.kind == "O" else np.asarray(data).tobytes()
+
+    with h5py.File(path) as file:
+        file.visititems(add)
+    return found
+
+
+def different(path: Path, reference: dict[str, bytes]) -> list[str]:
+    """Names of what is not the same, to the bit."""
+    seen = values(path)
+    return sorted(name for name in seen.keys() | reference.keys() if seen.get(name) != reference.get(name))
+
+
+def digest(folder: Path) -> dict[str, str]:
+    return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in sorted(folder.iterdir()) if p.is_file()}
+
+
+def wait_for(condition, seconds: float = 60.0) -> bool:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if condition():
+            return True
+        time.sleep(0.002)
+    return False
+
+
+def short(done: subprocess.CompletedProcess) -> bool:
+    """At most three lines of error, and no backtrace."""
+    return len(done.stderr.strip().splitlines()) <= 3 and "Backtrace" not in done.stderr and "#0" not in done.stderr
+
+
+@contextmanager
+def small_disk(size: str):
+    """A tmpfs of a given size, or None where mounting is forbidden."""
+    folder = Path(tempfile.mkdtemp(prefix="castnet_disk_"))
+    done = subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)], capture_output=True,
+                          text=True, check=False)
+    try:
+        if done.returncode != 0:
+            print(f"skip  no tmpfs can be mounted here: {done.stderr.strip()}")
+            yield None
+        else:
+            yield folder
+    finally:
+        if done.returncode == 0:
+            subprocess.run(["umount", str(folder)], check=False)
+        folder.rmdir()
+
+
+# ---- kills ---------------------------------------------------------------------------
+
+
+def readable(path: Path) -> str:
+    """What h5py and xarray find wrong with a killed run's file; '' if nothing."""
+    try:
+        with h5py.File(path) as file:
+            file.visititems(lambda name, item: item[()] if isinstance(item, h5py.Dataset) else None)
+            lengths = {name: file[name].shape[0] for name in file
+                       if isinstance(file[name], h5py.Dataset) and file[name].maxshape[0] is None}
+            if len(set(lengths.values())) != 1:
+                return f"uneven frames: {lengths}"
+            for name in lengths:
+                if np.isnan(file[name][()]).any():
+                    return f"a frame of {name} is not there"
+        with xr.open_dataset(path) as data, xr.open_dataset(path, group="history") as history:
+            data.load()
+            history.load()
+    except Exception as error:  # noqa: BLE001 - whatever the reader says is the finding
+        return repr(error)
+    return ""
+
+
+def check_vtk(name: str, paths: list[Path]) -> None:
+    """All files in one process: starting VTK takes longer than reading."""
+    done = subprocess.run([sys.executable, "-c", VTK_READER, *map(str, paths)], capture_output=True, text=True,
+                          timeout=600, check=False)
+    check(name, done.returncode == 0 and len(done.stdout.splitlines()) == len(paths),
+          f"exit code {done.returncode} at {done.stdout.splitlines()[-1:]} {done.stderr[-300:]}")
+
+
+def check_kills(folder: Path) -> None:
+    seed = int(os.environ.get("CASTNET_SEED", random.randrange(10**9)))
+    print(f"      {KILLS} kills, CASTNET_SEED={seed}")
+    chance = random.Random(seed)
+    for label, scene in (("cubesat", CUBESAT), ("midpoint deployment", DEPLOYMENT), ("closing", CLOSING)):
+        reference_path = folder / "reference.h5"
+        began = time.monotonic()
+        done = run(scene, reference_path, "--force", "--threads", "1")
+        duration = time.monotonic() - began
+        if not check(f"kills, {label}: the reference runs", done.returncode == 0, done.stderr):
+            continue
+        reference = values(reference_path)
+        faults, kept, restarts, kills, frames = [], [], 0, 0, 0
+        while kills < KILLS // 3:
+            output = folder / "killed.h5"
+            for old in folder.glob("killed.h5*"):
+                old.unlink()
+            more: list[str] = []
+            while True:  # one run, killed again and again until it is through
+                process = start(scene, output, *more, "--threads", chance.choice("124"))
+                if kills < KILLS // 3 and chance.random() < 0.8:
+                    time.sleep(chance.uniform(0.0, 1.1 * duration))
+                    process.kill()
+                    kills += 1
+                process.communicate()
+                if process.returncode == 0:
+                    break
+                if process.returncode != -signal.SIGKILL:
+                    faults.append(f"exit code {process.returncode}")
+                    break
+                time.sleep(0.05)
+                part = beside(output, ".part")
+                if part.exists():
+                    if fault := readable(part):
+                        faults.append(fault)
+                    copy = folder / f"copy_{kills}.h5"
+                    shutil.copy(part, copy)
+                    kept.append(copy)
+                    with h5py.File(part) as file:
+                        frames += file["time"].shape[0]
+                has_checkpoint = any(beside(output, e).exists() for e in (".checkpoint", ".checkpoint.previous"))
+                more = ["--restart", str(beside(output, ".checkpoint"))] if has_checkpoint else ["--force"]
+                restarts += has_checkpoint
+            if output.exists() and (names := different(output, reference)):
+                faults.append(f"other bits: {names}")
+        check(f"kills, {label}: {kills} kills, {restarts} restarts, {frames} frames kept; files whole, final bits the same",
+              not faults, faults[:5])
+        check_vtk(f"kills, {label}: VTK opens all {len(kept)} files", kept)
+        for old in kept:
+            old.unlink()
+
+
+# ---- signals and limits ------------------------------------------------------------------
+
+
+def check_signals(folder: Path) -> None:
+    output = folder / "signal.h5"
+    reference_path = folder / "signal_reference.h5"
+    run(CUBESAT, reference_path, "--threads", "1")
+    reference = values(reference_path)
+    for name, number, code in (("SIGUSR1", signal.SIGUSR1, 75), ("SIGTERM", signal.SIGTERM, 75), ("SIGINT", signal.SIGINT, 130)):
+        for old in folder.glob("signal.h5*"):
+            old.unlink()
+        process = start(CUBESAT, output)
+        wait_for(lambda: beside(output, ".checkpoint").exists())
+        process.send_signal(number)
+        _, words = process.communicate(timeout=60)
+        check(f"signals: {name} gives exit code {code} and says how to go on",
+              process.returncode == code and "--restart" in words, (process.returncode, words))
+        check(f"signals: {name} leaves .part and .checkpoint, no lock", not output.exists() and
+              sorted(p.name[len(output.name):] for p in folder.glob("signal.h5*")) in
+              (['.checkpoint', '.checkpoint.previous', '.part'], ['.checkpoint', '.part']), list(folder.glob("signal.h5*")))
+        with h5py.File(beside(output, ".part")) as file:
+            check(f"signals: {name} is told in /meta", file["meta/status"].asstr()[()] == "stopped")
+        done = restart(CUBESAT, output, "--threads", "2")
+        check(f"signals: after {name} the restart ends in the same bits, on two threads",
+              done.returncode == 0 and not different(output, reference),
+              (done.returncode, done.stderr, output.exists() and different(output, reference)))
+    for old in folder.glob("signal.h5*"):
+        old.unlink()
+    process = start(CUBESAT, output)
+    wait_for(lambda: beside(output, ".part").exists())
+    process.send_signal(signal.SIGTERM)
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=60)
+    check("signals: a second one ends it at once, exit code 75", process.returncode == 75, process.returncode)
+    slow = (CUBESAT[0], ["time/step=2.0e-6"])
+    began = time.monotonic()
+    done = run(slow, folder / "wall.h5", "--max-wall", "00:00:01")
+    check("signals: --max-wall stops with 75 and a checkpoint", done.returncode == 75 and time.monotonic() - began < 30
+          and beside(folder / "wall.h5", ".checkpoint").exists(), (done.returncode, done.stderr))
+
+
+# ---- restarts --------------------------------------------------------------------------
+
+
+def stopped(scene, output: Path) -> None:
+    """Leave a stopped run with at least two checkpoints."""
+    for old in output.parent.glob(output.name + "*"):
+        old.unlink()
+    process = start(scene, output)
+    wait_for(lambda: beside(output, ".checkpoint.previous").exists())
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=60)
+
+
+def check_restarts(folder: Path) -> None:
+    output = folder / "restart.h5"
+    reference_path = folder / "restart_reference.h5"
+    run(CUBESAT, reference_path)
+    reference = values(reference_path)
+    stopped(CUBESAT, output)
+    before = digest(folder)
+    other = (CUBESAT[0], [*CUBESAT[1], "target/mass=4.0", "contact/restitution=0.5"])
+    done = restart(other, output)
+    check("restart: another scene is refused, each difference named", done.returncode == 2 and "target/mass" in done.stderr
+          and "contact/restitution" in done.stderr and "net/" not in done.stderr, (done.returncode, done.stderr))
+    check("restart: and nothing was touched", digest(folder) == before)
+    new = folder / "restart_new.h5"
+    done = run(CUBESAT, new, "--restart", str(beside(output, ".checkpoint")))
+    with h5py.File(new) as file, h5py.File(reference_path) as whole:
+        n = file["time"].shape[0]
+        check("restart: into a new file, which holds the rest to the bit", done.returncode == 0 and
+              0 < n < whole["time"].shape[0] and all(np.array_equal(file[k][()], whole[k][-n:]) for k in
+                                                     ("time", "node_position", "cable_tension", "target_attitude")), done.stderr)
+        check("restart: lineage in /meta", file["meta/sessions/1/checkpoint"].asstr()[()].endswith(".checkpoint")
+              and file["meta/sessions/1/from_step"][()] > 0)
+    done = restart(CUBESAT, output)
+    check("restart: and into the same file as well", done.returncode == 0 and not different(output, reference), done.stderr)
+    with h5py.File(output) as file:
+        check("restart: two sessions in /meta", sorted(file["meta/sessions"]) == ["1", "2"])
+    longer = folder / "longer.h5"
+    done = run((CUBESAT[0], [*CUBESAT[1], "time/end_time=2.0", "output/verdict_times=3.0"]), longer)
+    if done.returncode != 0:  # verdicts must lie within the run
+        done = run((CUBESAT[0], [*CUBESAT[1], "time/end_time=2.0", "output/verdict_times=2.0"]), longer)
+    done = restart(CUBESAT, longer)
+    check("restart: a finished run goes on to a later end and is the longer run to the bit",
+          done.returncode == 0 and not different(longer, reference), (done.stderr, different(longer, reference)))
+
+
+def check_damaged_checkpoints(folder: Path) -> None:
+    output = folder / "damaged.h5"
+    reference_path = folder / "damaged_reference.h5"
+    run(CUBESAT, reference_path)
+    reference = values(reference_path)
+    chance = random.Random(7)
+    for label in ("truncated", "bit-flipped", "empty", "missing"):
+        stopped(CUBESAT, output)
+        path = beside(output, ".checkpoint")
+        data = bytearray(path.read_bytes())
+        if label == "bit-flipped":
+            data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
+        path.write_bytes(data[: {"truncated": len(data) // 2, "empty": 0}.get(label, len(data))])
+        if label == "missing":
+            path.unlink()
+        done = restart(CUBESAT, output)
+        check(f"checkpoint: {label}: the previous one serves, with a warning, and the bits are the same",
+              done.returncode == 0 and "warning" in done.stderr and not different(output, reference),
+              (done.returncode, done.stderr))
+    stopped(CUBESAT, output)
+    for ending in (".checkpoint", ".checkpoint.previous"):
+        path = beside(output, ending)
+        path.write_bytes(path.read_bytes()[:-1])
+    before = digest(folder)
+    done = restart(CUBESAT, output)
+    check("checkpoint: both damaged: exit code 4, said in short, and nothing was touched",
+          done.returncode == 4 and short(done) and digest(folder) == before, (done.returncode, done.stderr))
+    done = run(CUBESAT, folder / "x.h5", "--restart", str(folder / "no_such.checkpoint"))
+    check("checkpoint: none there: exit code 4", done.returncode == 4 and short(done), (done.returncode, done.stderr))
+
+
+# ---- locks and files -----------------------------------------------------------------------
+
+
+def check_locks(folder: Path) -> None:
+    output = folder / "lock.h5"
+    slow = (CUBESAT[0], ["time/step=5.0e-6"])
+    process = start(slow, output)
+    wait_for(lambda: beside(output, ".part").exists())
+    done = run(CUBESAT, output, "--force")
+    check("lock: a second run on the same output is refused, even with --force", done.returncode == 4 and short(done)
+          and str(process.pid) in done.stderr, (done.returncode, done.stderr))
+    process.kill()
+    process.communicate()
+    check("lock: a killed run leaves its lock", beside(output, ".lock").exists())
+    time.sleep(0.05)
+    done = run(CUBESAT, output, "--force")
+    check("lock: which is known to be stale", done.returncode == 0 and not beside(output, ".lock").exists(), done.stderr)
+
+
+def check_files(folder: Path) -> None:
+    output = folder / "files.h5"
+    scene = (CUBESAT[0], ["time/end_time=0.05", "output/verdict_times=0.05"])
+
+    def refused(name: str, target: Path, *more: str, words: str) -> None:
+        before = digest(folder)
+        done = run(scene, target, *more)
+        check(f"files: {name}: exit code 4, one sentence, nothing touched", done.returncode == 4 and short(done)
+              and words in done.stderr and digest(folder) == before, (done.returncode, done.stderr))
+
+    refused("a folder that is not there", folder / "none" / "a.h5", words="is not there")
+    refused("a name that is too long", folder / ("x" * 240), words="too long")
+    refused("a path that is too long", folder / ("y/" * 2100) / "a.h5", words="too long")
+    run(scene, output)
+    refused("an output that is there", output, words="--force")
+    done = run(scene, output, "--force")
+    check("files: --force replaces it", done.returncode == 0, done.stderr)
+    before = values(output)
+    output.rename(beside(output, ".part"))
+    refused("an unfinished run that is there", output, words="--restart")
+    beside(output, ".part").rename(output)
+    check("files: and is still the same", values(output) == before)
+    for part in (output, beside(output, ".part")):
+        part.unlink(missing_ok=True)
+    process = start((CUBESAT[0], ["time/step=2.0e-5"]), output)
+    wait_for(lambda: beside(output, ".part").exists())
+    with h5py.File(beside(output, ".part")) as file:
+        early = file["time"].shape[0]
+        process.communicate()
+        check("files: a reader may hold the file open while it is written", process.returncode == 0 and early < 151,
+              process.returncode)
+    link = folder / "link.h5.part"
+    victim = folder / "victim.txt"
+    victim.write_text("precious")
+    link.symlink_to(victim)
+    beside(folder / "link.h5", ".tmp").symlink_to(victim)
+    run(scene, folder / "link.h5", "--force")
+    check("files: a link laid in the way is replaced, not followed", victim.read_text() == "precious")
+    strange = folder / "a b; touch oops $(touch oops) 'ü'.h5"
+    done = run(scene, strange)
+    check("files: no shell sees a file's name", done.returncode == 0 and strange.exists() and not (folder / "oops").exists()
+          and not Path("oops").exists(), done.stderr)
+
+
+def check_disks() -> None:
+    with small_disk("1m") as disk:
+        if disk is None:
+            return
+        output = disk / "run.h5"
+        done = run(CUBESAT, output)
+        check("full disk: known beforehand: exit code 4 at the start, nothing left", done.returncode == 4 and short(done)
+              and "free" in done.stderr and not list(disk.iterdir()), (done.returncode, done.stderr, list(disk.iterdir())))
+        # a run that fits, and a neighbour who takes the rest while it runs
+        few = (CUBESAT[0], ["time/step=1.0e-5", "output/vtk=.false.", "output/frame_interval=0.05",
+                            "output/history_interval=0.01", "output/checkpoint_interval=0.05"])
+        with tempfile.TemporaryDirectory() as roomy:
+            run(few, Path(roomy) / "reference.h5")
+            reference = values(Path(roomy) / "reference.h5")
+        process = start(few, output)
+        wait_for(lambda: beside(output, ".checkpoint.previous").exists())
+        filler = disk / "filler"
+        with open(filler, "wb", buffering=0) as out:
+            try:
+                while True:
+                    out.write(b"x" * 4096)
+            except OSError:
+                pass
+        _, words = process.communicate(timeout=120)
+        check("full disk: in the middle: exit code 4, at most three lines, what to do", process.returncode == 4
+              and len(words.strip().splitlines()) <= 3 and "free disk space" in words, (process.returncode, words))
+        fault = readable(beside(output, ".part"))
+        with h5py.File(beside(output, ".part")) as file:
+            frames = file["time"].shape[0]
+            check(f"full disk: the {frames} frames before are there", not fault and 0 < frames < 61, fault)
+        filler.unlink()
+        done = restart(few, output)
+        check("full disk: with room again the restart ends in the same bits", done.returncode == 0 and
+              not different(output, reference), (done.returncode, done.stderr))
+        kept = digest(disk)
+        subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=False)
+        done = run(CUBESAT, disk / "new.h5")
+        check("read-only disk: exit code 4, one sentence, earlier data intact", done.returncode == 4 and short(done)
+              and "ead-only" in done.stderr and digest(disk) == kept, (done.returncode, done.stderr))
+        done = run(few, output, "--force")
+        check("read-only disk: --force does not help", done.returncode == 4 and digest(disk) == kept, done.stderr)
+
+
+def main() -> int:
+    with tempfile.TemporaryDirectory(prefix="castnet_faults_") as name:
+        for number, part in enumerate((check_files, check_locks, check_signals, check_restarts, check_damaged_checkpoints,
+                                       check_kills)):
+            folder = Path(name) / str(number)
+            folder.mkdir()
+            try:
+                part(folder)
+            except Exception as error:  # noqa: BLE001 - a test that cannot go on has failed
+                check(f"{part.__name__} runs to its end", False, repr(error))
+        try:
+            check_disks()
+        except Exception as error:  # noqa: BLE001
+            check("check_disks runs to its end", False, repr(error))
+    print(f"{sum(results)} passed, {len(results) - sum(results)} failed")
+    return 0 if all(results) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
