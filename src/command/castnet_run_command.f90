@@ -1,7 +1,7 @@
 !> castnet run: a scene file to a file of results.
 module castnet_run_command
   use castnet_command_line, only: options_t
-  use castnet_error, only: error_t, fail, exit_input
+  use castnet_error, only: error_t, fail, exit_input, exit_file
   use castnet_posix, only: same_file
   use castnet_record, only: summary_t
   use castnet_log, only: log_t, new_log
@@ -44,9 +44,13 @@ contains
     run%version = version_number//' '//git_commit()
     run%compiler = compiler_name()
     run%flags = compiler_flags()
-    call input_files(scene, run%inputs)
+    call input_files(scene, options%restart, run%inputs)
     call new_log(log, options%quiet, .not. options%no_progress)
     call run_scene(scene, effective_scene(scene), run, log, sim, summary, ledger, error)
+    ! When a file failed, that is what is to be seen.
+    if (allocated(error)) then
+      if (error%code == exit_file) return
+    end if
     if (ledger%started) call report_ledger(log, sim, ledger)
     if (options%timings) call report_timings(log, sim, summary)
     if (allocated(error)) return
@@ -54,13 +58,18 @@ contains
   end subroutine run_file
 
   !> Files that the run reads.
-  subroutine input_files(scene, inputs)
+  subroutine input_files(scene, restart, inputs)
     type(scene_t), intent(in) :: scene
+    character(len=:), allocatable, intent(in) :: restart  !! a checkpoint, if one is given
     type(text_t), allocatable, intent(out) :: inputs(:)
-    character(len=path_length) :: names(3)
+    character(len=path_length) :: names(4)
     integer :: i, n
     n = 1
     names(1) = scene%path
+    if (allocated(restart)) then
+      n = n + 1
+      names(n) = restart
+    end if
     if (allocated(scene%net)) call add(scene%net%file)
     if (allocated(scene%target)) call add(scene%target%file)
     allocate (inputs(n))

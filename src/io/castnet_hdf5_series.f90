@@ -154,15 +154,26 @@ contains
   end subroutine open_series
 
   !> Most bytes that the file may grow by when `frames` more are appended: new chunks, and
-  !> the nodes of the tree that finds them, which are at least half full of 64 chunks.
+  !> nodes of the tree that finds them. A node holds 64 chunks, and at least 32 once it has
+  !> been split; the first split makes a root besides.
   pure integer(i8) function growth_bytes(series, frames)
     type(series_t), intent(in) :: series
     integer(i8), intent(in) :: frames
-    integer(i8), parameter :: tree_node = 4096_i8
-    integer(i8) :: blocks
-    blocks = chunk_blocks(series, series%length + frames) - chunk_blocks(series, series%length)
-    growth_bytes = blocks*series%block_bytes
-    if (blocks > 0) growth_bytes = growth_bytes + tree_node*(2 + blocks*series%block_chunks/32)
+    integer(i8) :: before, after, nodes, node
+    before = chunk_blocks(series, series%length)
+    after = chunk_blocks(series, series%length + frames)
+    growth_bytes = (after - before)*series%block_bytes
+    if (after == before) return
+    before = before*series%block_chunks
+    after = after*series%block_chunks
+    if (after <= 64) then
+      nodes = merge(1_i8, 0_i8, before == 0)
+    else
+      nodes = 2 + (after - before)/32
+    end if
+    ! 65 keys of size, filter mask and offsets, 64 addresses
+    node = 24 + 65*(8 + 8*(series%rank + 1)) + 64*8
+    growth_bytes = growth_bytes + nodes*node
   end function growth_bytes
 
   pure integer(i8) function chunk_blocks(series, length)
