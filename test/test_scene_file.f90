@@ -8,7 +8,8 @@ module test_scene_file
   use castnet_scene_file, only: read_scene_text, read_scene
   use castnet_scene_schema, only: set_key, get_key, scene_groups
   use castnet_scene_text, only: effective_scene, scene_template, full_table
-  use castnet_schema, only: schema_t, entry_t, kind_real, kind_integer, kind_logical, kind_word, kind_path
+  use castnet_schema, only: schema_t
+  use castnet_schema_entry, only: entry_t, kind_real, kind_integer, kind_logical, kind_word, kind_path
   use castnet_problems, only: problem_list_t
   use castnet_text, only: text_t, to_text, word_at, word_count, quoted, is_one_of
   use testing, only: test_case, expect, expect_equal, expect_close

@@ -452,16 +452,28 @@ contains
   pure function replace_all(text, old, new) result(changed)
     character(len=*), intent(in) :: text, old, new
     character(len=:), allocatable :: changed
-    integer :: first, found
-    changed = ''
+    integer :: first, found, n
+    n = 0
+    first = 1
+    do                      ! how many
+      found = index(text(first:), old)
+      if (found == 0) exit
+      n = n + 1
+      first = first + found - 1 + len(old)
+    end do
+    allocate (character(len=len(text) + n*(len(new) - len(old))) :: changed)
+    n = 0
     first = 1
     do
       found = index(text(first:), old)
       if (found == 0) exit
-      changed = changed//text(first:first + found - 2)//new
+      changed(n + 1:n + found - 1) = text(first:first + found - 2)
+      n = n + found - 1
+      changed(n + 1:n + len(new)) = new
+      n = n + len(new)
       first = first + found - 1 + len(old)
     end do
-    changed = changed//text(first:)
+    changed(n + 1:) = text(first:)
   end function replace_all
 
   !> Is the text well-formed UTF-8 (no overlong forms, no surrogates)?

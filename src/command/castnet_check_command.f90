@@ -171,6 +171,7 @@ contains
     integer, intent(inout) :: refused
     type(scene_t) :: scene
     type(study_request_t) :: request
+    type(file_net_t), allocatable :: file_net
     type(error_t), allocatable :: error
     character(len=:), allocatable :: warnings, text
     logical :: is_study
@@ -182,6 +183,7 @@ contains
         call read_study_text(text, path, options%overrides, request, warnings, error)
       else
         call read_scene_text(text, path, options%overrides, scene, warnings, error)
+        if (.not. allocated(error)) call load_scene_net(scene, file_net, error)
       end if
     end if
     if (allocated(error)) then

@@ -14,6 +14,8 @@ module castnet_namelist
   public :: value_t, item_t, group_t, namelist_t, parse_namelist, parse_value_list, most_values
 
   integer, parameter :: most_values = 100000  !! of one key, repeat counts expanded
+  integer, parameter :: most_groups = 10000, most_items = 10000
+  integer, parameter :: longest_name = 63     !! of a group or key; what is longer is cut, and unknown
 
   type :: value_t
     character(len=:), allocatable :: text  !! as written; quotes taken off
@@ -58,8 +60,11 @@ contains
     call scan_tokens(path, text, tokens, problems)
     document%last_line = tokens%list(tokens%n)%line
     i = 1
-    do while (tokens%list(i)%kind /= token_end)
-      if (tokens%list(i)%kind == token_group) then
+    do while (tokens%list(i)%kind /= token_end .and. .not. problems%is_full())
+      if (document%n >= most_groups) then
+        call problems%add(path, tokens%list(i)%line, '', 'more than '//to_text(most_groups)//' groups; reading stopped here')
+        return
+      else if (tokens%list(i)%kind == token_group) then
         call parse_group(path, text, tokens, i, document, problems)
       else
         line = tokens%list(i)%line
@@ -99,7 +104,7 @@ contains
     type(namelist_t), intent(inout) :: document
     type(problem_list_t), intent(inout) :: problems
     type(group_t) :: group
-    group%name = lower(text(tokens%list(i)%first + 1:tokens%list(i)%last))
+    group%name = lower(text(tokens%list(i)%first + 1:min(tokens%list(i)%last, tokens%list(i)%first + longest_name)))
     group%line = tokens%list(i)%line
     allocate (group%items(8))
     i = i + 1
@@ -112,6 +117,12 @@ contains
       end if
     end if
     do
+      if (problems%is_full()) exit
+      if (group%n >= most_items) then
+        call problems%add(path, tokens%list(i)%line, group%name, 'more than '//to_text(most_items)//' keys; reading stopped here')
+        i = tokens%n
+        exit
+      end if
       associate (token => tokens%list(i))
         select case (token%kind)
         case (token_slash)
@@ -158,7 +169,7 @@ contains
     character(len=:), allocatable :: about, problem
     integer(i8) :: subscript
     logical :: bad
-    item%key = lower(text(tokens%list(i)%first:tokens%list(i)%last))
+    item%key = lower(text(tokens%list(i)%first:min(tokens%list(i)%last, tokens%list(i)%first + longest_name)))
     item%line = tokens%list(i)%line
     allocate (item%values(4))
     about = group%name//'/'//item%key
@@ -198,6 +209,7 @@ contains
     total = 0
     line = tokens%list(max(1, i - 1))%line
     do
+      if (problems%is_full()) return
       associate (token => tokens%list(i))
         select case (token%kind)
         case (token_word, token_string, token_cut)

@@ -40,7 +40,7 @@ contains
     if (n >= 3) then
       if (text(1:3) == achar(239)//achar(187)//achar(191)) i = 4   ! byte-order mark
     end if
-    do while (i <= n)
+    do while (i <= n .and. .not. problems%is_full())
       select case (text(i:i))
       case (' ', achar(9))
         i = i + 1

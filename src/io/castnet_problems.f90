@@ -7,6 +7,7 @@ module castnet_problems
   public :: problem_list_t, join_lines
 
   integer, parameter :: most_reported = 200  !! more than anyone reads; the rest is counted
+  integer, parameter :: most_told = 5000     !! then reading may stop: this is no scene
 
   type :: problem_t
     character(len=:), allocatable :: path
@@ -16,9 +17,11 @@ module castnet_problems
 
   type :: problem_list_t
     integer :: n = 0
+    integer, private :: told = 0        !! times that something was told, repetitions included
     type(problem_t), allocatable, private :: items(:)
   contains
     procedure :: add
+    procedure :: is_full
     procedure :: report
     procedure :: clear
   end type problem_list_t
@@ -34,16 +37,16 @@ contains
     type(problem_t), allocatable :: grown(:)
     type(problem_t) :: item
     integer :: i
+    self%told = self%told + 1
     item%path = path
     item%line = line
     item%text = text
     if (len(about) > 0) item%text = about//': '//text
     if (.not. allocated(self%items)) allocate (self%items(16))
-    do i = max(1, min(self%n, size(self%items)) - 20), min(self%n, size(self%items))
+    do i = max(1, self%n - 20), self%n
       if (self%items(i)%line == line .and. self%items(i)%text == item%text .and. self%items(i)%path == path) return
     end do
     self%n = self%n + 1
-    if (self%n > 100*most_reported) return      ! counted only
     if (self%n > size(self%items)) then
       allocate (grown(2*size(self%items)))
       grown(:self%n - 1) = self%items(:self%n - 1)
@@ -51,6 +54,12 @@ contains
     end if
     self%items(self%n) = item
   end subroutine add
+
+  !> So many problems that nothing is gained by reading on.
+  pure logical function is_full(self)
+    class(problem_list_t), intent(in) :: self
+    is_full = self%told >= most_told
+  end function is_full
 
   !> All problems, one per line, by file in the order met and by line within a file.
   function report(self) result(text)
@@ -60,7 +69,7 @@ contains
     integer :: i, k, kept, moved
     text = ''
     kept = 0
-    if (allocated(self%items)) kept = min(self%n, size(self%items), 100*most_reported)
+    if (allocated(self%items)) kept = self%n
     allocate (order(kept))
     do i = 1, kept
       order(i) = i
@@ -75,12 +84,14 @@ contains
       if (i > 1) text = text//new_line('a')
       text = text//one_line(self%items(order(i)))
     end do
-    if (self%n > most_reported) text = text//new_line('a')//'... and '//to_text(self%n - most_reported)//' more'
+    if (self%n > most_reported) text = text//new_line('a')//'... and '//to_text(self%n - most_reported)// &
+      trim(merge(' more, and reading stopped', ' more                     ', self%is_full()))
   end function report
 
   subroutine clear(self)
     class(problem_list_t), intent(inout) :: self
     self%n = 0
+    self%told = 0
     if (allocated(self%items)) deallocate (self%items)
   end subroutine clear
 

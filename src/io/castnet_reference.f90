@@ -2,7 +2,8 @@
 module castnet_reference
   use castnet_scene, only: scene_t
   use castnet_scene_text, only: full_table
-  use castnet_schema, only: schema_t, entry_t
+  use castnet_schema, only: schema_t
+  use castnet_schema_entry, only: entry_t
   use castnet_study_request, only: study_request_t
   use castnet_study_schema, only: study_table, vary_table
   implicit none

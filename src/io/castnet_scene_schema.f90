@@ -6,7 +6,8 @@ module castnet_scene_schema
   use castnet_error, only: error_t, fail, exit_input
   use castnet_namelist, only: item_t, parse_value_list
   use castnet_scene, only: scene_t, part_group_t
-  use castnet_schema, only: schema_t, entry_t, kind_word, kind_path
+  use castnet_schema, only: schema_t
+  use castnet_schema_entry, only: entry_t, kind_word, kind_path
   use castnet_text, only: lower, parse_integer, did_you_mean, to_text, quoted, is_one_of
   implicit none
   private

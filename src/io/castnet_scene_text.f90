@@ -3,7 +3,8 @@
 module castnet_scene_text
   use castnet_scene, only: scene_t, part_group_t
   use castnet_scene_schema, only: scene_table, part_table, allocate_all_groups
-  use castnet_schema, only: schema_t, entry_t, kind_word
+  use castnet_schema, only: schema_t
+  use castnet_schema_entry, only: entry_t, kind_word
   use castnet_text, only: to_text, quoted
   implicit none
   private

@@ -3,7 +3,8 @@ module castnet_schema_fill
   use castnet_namelist, only: group_t, item_t
   use castnet_problems, only: problem_list_t
   use castnet_scene_schema, only: groups_with_key, scene_groups
-  use castnet_schema, only: schema_t, entry_t, most_components
+  use castnet_schema, only: schema_t
+  use castnet_schema_entry, only: entry_t, most_components
   use castnet_text, only: to_text, did_you_mean, is_one_of
   implicit none
   private
@@ -53,6 +54,7 @@ contains
       table%groups(1)%path = path
     end if
     do i = 1, group%n
+      if (problems%is_full()) return
       k = table%find(group%name, group%items(i)%key)
       if (k == 0) then
         call problems%add(path, group%items(i)%line, about//'/'//group%items(i)%key, &

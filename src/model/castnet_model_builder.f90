@@ -122,17 +122,19 @@ contains
     type(target_t), intent(out) :: target
     type(error_t), allocatable, intent(inout) :: error
     real(wp), allocatable :: dimensions(:, :), position(:, :), attitude(:, :)
+    character(len=len(group%shape)), allocatable :: shapes(:)
     integer :: i
 
     select case (trim(group%shape))
     case ('compound')
       allocate (dimensions(3, size(parts)), position(3, size(parts)), attitude(4, size(parts)))
+      shapes = parts%shape
       do i = 1, size(parts)
         dimensions(:, i) = parts(i)%dimensions
         position(:, i) = parts(i)%position
         attitude(:, i) = normalise_quaternion(parts(i)%attitude)
       end do
-      call new_compound(target%shape, parts%shape, dimensions, position, attitude, error)
+      call new_compound(target%shape, shapes, dimensions, position, attitude, error)
     case ('mesh')
       call new_mesh_shape(target%shape, path, error)
     case default
