@@ -22,6 +22,7 @@ from bullet_differences import Trajectories, differences, direction_means
 from castnet_reader import Run
 from castnet_runner import ROOT, Job, find_castnet, run_all
 from paper_figures import FIGURES, mouth_area
+from plot_run import plot_run
 
 AGREES, MOSTLY, DIFFERS, UNCHECKED = "agrees", "agrees mostly", "**differs**", "cannot be checked"
 NUDGE = "1e-6"
@@ -349,13 +350,22 @@ def file_name(figure: str) -> str:
     return f"figure_{int(figure):02d}.png" if figure.isdigit() else f"{figure}.png"
 
 
-def shrink(source: Path, target: Path) -> None:
-    """A picture with few colours and at most 1100 pixels across: a tenth of the size."""
+def front_picture(castnet: str, target: Path) -> None:
+    """The README's picture: that of tools/capture_cubesat.sh, made smaller."""
+    result = ROOT / "out" / "cubesat.h5"
+    if not run_all([Job("cubesat", result)], castnet):
+        picture = result.with_suffix(".png")
+        plot_run(Run(result)).savefig(picture)
+        shrink(picture, target, 1300)
+
+
+def shrink(source: Path, target: Path, width=1100) -> None:
+    """A picture with few colours and no wider than this many pixels: a fraction of the size."""
     from PIL import Image
 
     picture = Image.open(source).convert("RGB")
-    if picture.width > 1100:
-        picture = picture.resize((1100, round(picture.height * 1100 / picture.width)), Image.Resampling.LANCZOS)
+    if picture.width > width:
+        picture = picture.resize((width, round(picture.height * width / picture.width)), Image.Resampling.LANCZOS)
     picture.quantize(96, dither=Image.Dither.NONE).save(target, optimize=True)
 
 
@@ -385,6 +395,7 @@ def main() -> int:
     figures = arguments.page.parent / "figures"
     figures.mkdir(parents=True, exist_ok=True)
     if not arguments.no_figures:
+        front_picture(castnet, figures / "cubesat.png")
         drawn = ROOT / "out" / "figures"
         subprocess.run([sys.executable, str(ROOT / "tools" / "paper_figures.py"), "--folder", str(drawn), "--castnet", castnet,
                         "--at-once", str(arguments.at_once)], check=False, stdout=subprocess.DEVNULL)
