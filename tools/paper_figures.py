@@ -278,15 +278,17 @@ def figure_tension(book, _):
 
 def figure_energy(book, _):
     names = {"cubesat, 1.5 rad/s": "cubesat", "rocket x, 0.4 rad/s": ROCKET_X["0.4"], "rocket x, 1.1 rad/s, closing": CLOSING["x"]}
-    parts = {"kinetic_net": ("net, kinetic", "#2471a3"), "kinetic_target": ("target, kinetic", "#9a6a00"),
+    parts = {"kinetic_net": ("net, kinetic", "#2471a3"), "kinetic_target": ("target, kinetic above its least", "#9a6a00"),
              "elastic": ("elastic", "#c0392b"), "dissipated": ("lost in cables", "#7d3c98"),
              "contact_loss": ("lost at contacts", "#566573")}
     gains = {"winch_work": "winch", "projection_work": "projection"}
     figure, axes = grid_of_panels(3, "Energy ledger: what is there and what was lost add up to the start and the winch's work", columns=3, height=3.2)
     for axis, (label, name) in zip(axes, names.items()):
         history = book[name].history
-        total = sum(history[part].values for part in parts)
-        axis.stackplot(history.time.values, [np.maximum(history[p].values, 0) for p in parts],
+        # Most of a tumbling stage's energy takes no part: only what moves is drawn.
+        lines = {part: history[part].values - (history[part].values.min() if part == "kinetic_target" else 0.0) for part in parts}
+        total = sum(lines.values())
+        axis.stackplot(history.time.values, [np.maximum(line, 0) for line in lines.values()],
                        labels=[words for words, _ in parts.values()], colors=[c for _, c in parts.values()], alpha=0.75, linewidth=0)
         given = total[0] + sum(history[g].values for g in gains if g in history)
         axis.plot(history.time, given, color="black", linewidth=1.0, linestyle="--", label="start + winch + projection")
