@@ -9,7 +9,7 @@ module castnet_contact_list
   use castnet_kinds, only: wp
   implicit none
   private
-  public :: contact_list_t, body_inertia_t, impulse_report_t, reserve_contacts, lane
+  public :: contact_list_t, body_inertia_t, impulse_report_t, reserve_contacts, shared_mobility, lane
 
   !> Contacts are summed in this many interleaved partial sums: a fixed order that a
   !> vector unit follows, so that every build gives the same bits.
@@ -70,5 +70,16 @@ contains
     list%capacity = m
     list%n = 0
   end subroutine reserve_contacts
+
+  !> Velocity of contact point i per impulse at contact point k through common nodes [1/kg].
+  pure real(wp) function shared_mobility(list, i, k) result(mobility)
+    type(contact_list_t), intent(in) :: list
+    integer, intent(in) :: i, k
+    mobility = 0.0_wp
+    if (list%node_a(i) == list%node_a(k)) mobility = mobility + list%weight_a(i)*list%weight_a(k)*list%inverse_mass_a(i)
+    if (list%node_b(i) == list%node_b(k)) mobility = mobility + list%share(i)*list%share(k)*list%inverse_mass_b(i)
+    if (list%node_a(i) == list%node_b(k)) mobility = mobility + list%weight_a(i)*list%share(k)*list%inverse_mass_a(i)
+    if (list%node_b(i) == list%node_a(k)) mobility = mobility + list%share(i)*list%weight_a(k)*list%inverse_mass_a(k)
+  end function shared_mobility
 
 end module castnet_contact_list

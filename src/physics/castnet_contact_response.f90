@@ -18,7 +18,7 @@ module castnet_contact_response
   use castnet_impulse_solver, only: impulse_problem_t, reserve_problem, solve_single, solve_reduced, measure, pad, &
                                     twist_of_impulses
   use castnet_friction_solver, only: friction_problem_t, reserve_friction, solve_friction
-  use castnet_coupled_friction, only: coupled_work_t, reserve_coupled, solve_coupled_friction
+  use castnet_coupled_friction, only: coupled_work_t, newton_work_t, reserve_coupled, solve_coupled_friction
   use castnet_coupled_solver, only: group_work_t, reserve_groups, solve_coupled, shares_nodes
   use castnet_dense_impulse, only: solve_dense
   use castnet_contact_projection, only: set_depths, mass_of
@@ -29,13 +29,17 @@ module castnet_contact_response
   !> A gain of kinetic energy below this part of the work of all impulses is rounding [-].
   real(wp), parameter :: energy_rounding = 1.0e-13_wp
   integer, parameter :: max_trial = 60
+  real(wp), parameter :: nearly = 1.0e-2_wp   !! residual of an event that is kept unconverged, of the largest speed [-]
   integer, parameter :: max_turn = 20
+  integer, parameter :: max_turn_coupled = 3
+  integer, parameter :: max_unsolved = 4      !! coefficients tried without an answer before the search gives up
 
   !> The solvers' scratch.
   type :: contact_solver_t
     type(impulse_problem_t) :: normal      !! without friction; also the projection's
     type(friction_problem_t) :: friction
     type(coupled_work_t) :: coupled        !! contacts that share nodes, with friction
+    type(newton_work_t) :: newton          !! its Newton steps
     type(group_work_t) :: groups           !! contacts that share nodes, without
     logical :: coupled_contacts = .false.  !! of the present list: nodes are shared
   end type contact_solver_t
@@ -63,17 +67,18 @@ contains
     type(contact_solver_t), intent(inout) :: solver
     type(impulse_report_t), intent(out) :: report
     type(contact_t) :: frictionless
-    real(wp) :: low, high, e, low_loss, high_loss, work
-    integer :: trial, iterations
+    real(wp) :: low, high, e, low_loss, high_loss, work, residual
+    integer :: trial, iterations, unsolved
     call reserve_solver(solver, list, maxval(max(list%node_a(1:list%n), list%node_b(1:list%n))), contact)
     call set_rows(list, solver%normal)
     solver%coupled_contacts = .false.
     if (contact%detect_cables) call shares_nodes(list, solver%groups, solver%coupled_contacts)
     call attempt(contact, body, list, solver, contact%restitution, report, work)
-    if (report%converged .and. report%energy_loss >= -energy_rounding*work) return
+    if (report%energy_loss >= -energy_rounding*work .and. (report%converged .or. nearly_solved(list, solver, report))) return
     high = contact%restitution
     high_loss = report%energy_loss
     iterations = report%iterations
+    unsolved = merge(0, 1, report%converged)
     low = 0.0_wp
     call attempt(contact, body, list, solver, low, report, work)
     low_loss = report%energy_loss
@@ -87,6 +92,8 @@ contains
       e = low + (high - low)*e
       call attempt(contact, body, list, solver, e, report, work)
       iterations = iterations + report%iterations
+      if (.not. report%converged) unsolved = unsolved + 1
+      if (unsolved > max_unsolved) exit
       if (report%energy_loss < 0.0_wp .or. .not. report%converged) then
         high = e
         high_loss = report%energy_loss
@@ -104,13 +111,33 @@ contains
       ! A solve that did not converge: without friction there is one, and it never creates energy.
       frictionless = contact
       frictionless%friction = 0.0_wp
+      residual = report%residual
       list%friction_impulse(1:list%n, :) = 0.0_wp
       call attempt(frictionless, body, list, solver, 0.0_wp, report, work)
       iterations = iterations + report%iterations
+      ! Never silently: what is reported is how far the law with friction was from being met.
+      report%residual = max(residual, report%residual)
       report%converged = .false.
     end if
     report%iterations = iterations
   end subroutine resolve_contacts
+
+  !> Is a coupled event with friction that did not converge near enough to be kept? Its
+  !> residual is reported; another restitution or no friction would be farther off.
+  pure logical function nearly_solved(list, solver, report)
+    type(contact_list_t), intent(in) :: list
+    type(contact_solver_t), intent(in) :: solver
+    type(impulse_report_t), intent(in) :: report
+    real(wp) :: largest
+    integer :: i
+    nearly_solved = .false.
+    if (.not. solver%coupled_contacts) return
+    largest = 0.0_wp
+    do i = 1, list%n
+      largest = max(largest, abs(list%velocity(i, 1)), abs(list%velocity(i, 2)), abs(list%velocity(i, 3)))
+    end do
+    nearly_solved = report%residual <= nearly*largest
+  end function nearly_solved
 
   !> Displacements that bring every contact with a negative gap back to the surface, as
   !> mass times displacement of each pair in `solver%normal%impulse` [kg m], and the
@@ -189,8 +216,8 @@ contains
     end if
     call reserve_coupled(solver%coupled, list%capacity, maxval(max(list%node_a(1:list%n), list%node_b(1:list%n))))
     solver%friction%impulse(1:list%n, :) = 0.0_wp
-    do turn = 1, max_turn
-      call solve_coupled_friction(solver%friction, list, body, solver%coupled, report%iterations, report%residual, &
+    do turn = 1, merge(max_turn, max_turn_coupled, reducible)
+      call solve_coupled_friction(solver%friction, list, body, solver%coupled, solver%newton, report%iterations, report%residual, &
                                   report%converged, report%twist)
       used = used + report%iterations
       if (report%converged) exit
@@ -325,6 +352,7 @@ contains
       loss = loss - term
       work = work + (j(1)*j(1) + j(2)*j(2) + j(3)*j(3))/max(problem%mass(i), tiny(1.0_wp)) + abs(term)
       list%impulse(i) = j(1)*list%normal(i, 1) + j(2)*list%normal(i, 2) + j(3)*list%normal(i, 3)
+      if (problem%push_only) list%impulse(i) = max(0.0_wp, list%impulse(i))
       list%friction_impulse(i, 1) = j(1) - list%impulse(i)*list%normal(i, 1)
       list%friction_impulse(i, 2) = j(2) - list%impulse(i)*list%normal(i, 2)
       list%friction_impulse(i, 3) = j(3) - list%impulse(i)*list%normal(i, 3)

@@ -7,7 +7,7 @@
 module castnet_dense_impulse
   use, intrinsic :: ieee_exceptions, only: ieee_all, ieee_get_halting_mode, ieee_set_halting_mode, ieee_set_flag
   use castnet_kinds, only: wp
-  use castnet_contact_list, only: contact_list_t, body_inertia_t
+  use castnet_contact_list, only: contact_list_t, body_inertia_t, shared_mobility
   use castnet_impulse_solver, only: impulse_problem_t, inverse_inertia_times, pad
   implicit none
   private
@@ -45,17 +45,6 @@ contains
       end do
     end do
   end function delassus_matrix
-
-  !> Velocity of contact point i per impulse at contact point k through common nodes [1/kg].
-  pure real(wp) function shared_mobility(list, i, k) result(mobility)
-    type(contact_list_t), intent(in) :: list
-    integer, intent(in) :: i, k
-    mobility = 0.0_wp
-    if (list%node_a(i) == list%node_a(k)) mobility = mobility + list%weight_a(i)*list%weight_a(k)*list%inverse_mass_a(i)
-    if (list%node_b(i) == list%node_b(k)) mobility = mobility + list%share(i)*list%share(k)*list%inverse_mass_b(i)
-    if (list%node_a(i) == list%node_b(k)) mobility = mobility + list%weight_a(i)*list%share(k)*list%inverse_mass_a(i)
-    if (list%node_b(i) == list%node_a(k)) mobility = mobility + list%share(i)*list%weight_a(k)*list%inverse_mass_a(k)
-  end function shared_mobility
 
   !> Impulses of the whole list by dense algebra. `iterations` counts LAPACK solves.
   subroutine solve_dense(problem, list, body, iterations, residual, converged)

@@ -19,7 +19,7 @@ module castnet_friction_solver
   use castnet_six_by_six, only: solve_general
   implicit none
   private
-  public :: friction_problem_t, reserve_friction, solve_friction, cone_impulse
+  public :: friction_problem_t, reserve_friction, solve_friction, cone_impulse, cone_derivative
 
   integer, parameter :: max_newton = 60
   integer, parameter :: max_cut = 30
@@ -485,7 +485,7 @@ contains
     type(body_inertia_t), intent(in) :: body
     integer, intent(in) :: n_lane
     real(wp), intent(in) :: twist(6)
-    real(wp) :: f(6), jacobian(6, 6), scale, step(6), rho(3), u(3), g(3), a(3, 3)
+    real(wp) :: f(6), jacobian(6, 6), scale, step(6), rho(3), u(3), n(3), g(3), a(3, 3)
     logical :: ok
     integer :: i, c
     call sweep(problem%capacity, n_lane, problem%normal, problem%arm, problem%velocity, problem%mass, problem%rebound, &
@@ -507,7 +507,8 @@ contains
       rho = law(problem, i, twist) - problem%impulse(i, :)
       u = velocity_at(problem%velocity(i, 1), problem%velocity(i, 2), problem%velocity(i, 3), &
                       problem%arm(i, 1), problem%arm(i, 2), problem%arm(i, 3), twist)
-      a = law_derivative(problem, i, u)
+      n = [problem%normal(i, 1), problem%normal(i, 2), problem%normal(i, 3)]
+      a = cone_derivative(problem%mass(i), u, n, problem%rebound(i), problem%friction, problem%push_only)
       g = -velocity_at(0.0_wp, 0.0_wp, 0.0_wp, problem%arm(i, 1), problem%arm(i, 2), problem%arm(i, 3), step)
       do c = 1, 3
         problem%impulse(i, c) = problem%impulse(i, c) + rho(c) + (a(c, 1)*g(1) + a(c, 2)*g(2) + a(c, 3)*g(3))
@@ -515,36 +516,34 @@ contains
     end do
   end subroutine correct
 
-  !> -d law/d u of one contact.
-  pure function law_derivative(problem, i, u) result(a)
-    type(friction_problem_t), intent(in) :: problem
-    integer, intent(in) :: i
-    real(wp), intent(in) :: u(3)
-    real(wp) :: a(3, 3), n(3), t(3), un, jn, speed, grip, slide, along
+  !> -d j/d u of `cone_impulse`.
+  pure function cone_derivative(mass, u, n, rebound, friction, push_only) result(a)
+    real(wp), intent(in) :: mass, u(3), n(3), rebound, friction
+    logical, intent(in) :: push_only
+    real(wp) :: a(3, 3), t(3), un, jn, speed, grip, slide, along
     integer :: c, d
-    n = [problem%normal(i, 1), problem%normal(i, 2), problem%normal(i, 3)]
     un = u(1)*n(1) + u(2)*n(2) + u(3)*n(3)
     t = u - un*n
     speed = sqrt(t(1)*t(1) + t(2)*t(2) + t(3)*t(3))
-    jn = problem%mass(i)*(problem%rebound(i) - un)
+    jn = mass*(rebound - un)
     a = 0.0_wp
-    if (problem%push_only .and. jn <= 0.0_wp) return
-    grip = problem%friction*max(0.0_wp, jn)
-    if (problem%mass(i)*speed > grip) then
+    if (push_only .and. jn <= 0.0_wp) return
+    grip = friction*max(0.0_wp, jn)
+    if (mass*speed > grip) then
       t = t/speed
       slide = grip/speed
     else
       t = 0.0_wp
-      slide = problem%mass(i)
+      slide = mass
     end if
-    along = merge(problem%friction*problem%mass(i), 0.0_wp, jn > 0.0_wp)
+    along = merge(friction*mass, 0.0_wp, jn > 0.0_wp)
     do d = 1, 3
       do c = 1, 3
-        a(c, d) = ((problem%mass(i) - slide)*n(c) - along*t(c))*n(d) - slide*t(c)*t(d)
+        a(c, d) = ((mass - slide)*n(c) - along*t(c))*n(d) - slide*t(c)*t(d)
       end do
       a(d, d) = a(d, d) + slide
     end do
-  end function law_derivative
+  end function cone_derivative
 
   !> Change of the body's twist by the reaction of the impulses.
   pure function reaction(problem, body) result(twist)
