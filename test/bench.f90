@@ -1,5 +1,7 @@
-!> Benchmark: nanoseconds per node and step, no contact, one thread.
+!> Benchmark: nanoseconds per node and step without contact, microseconds per contact
+!> event; one thread.
 program bench
+  use bench_contact, only: time_contacts
   use castnet_kinds, only: wp, i8
   use castnet_error, only: error_t
   use castnet_model, only: model_t
@@ -14,6 +16,7 @@ program bench
   call time_net('rocket', rocket_shot(), 1.0e-3_wp)
   call time_net('cubesat', cubesat_shot(), 5.0e-5_wp)
   call time_net('large', shot([160, 160], 0.2_wp, 1.0e-3_wp, 1.0e-3_wp, 0.03_wp, 1.8_wp), 1.0e-4_wp)
+  call time_contacts()
 
 contains
 
