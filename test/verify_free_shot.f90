@@ -26,6 +26,7 @@ contains
     call test_case('verify V12: a difference of 1e-12 m grows to 1 mm', chaos)
     call test_case('verify V12: momenta of an unsymmetric shot', momenta)
     call test_case('verify V12: energy falls by the cables'' damping alone', energy)
+    call test_case('verify: free shots open as wide and as late as physics.md says', deployment)
     call test_case('verify V12: orders of the methods on a net that stays taut', orders)
   end subroutine run_verify_free_shot
 
@@ -201,6 +202,66 @@ contains
       end do
     end do
   end subroutine energy
+
+  !> Largest area within the net's edge, seen along the flight, over the net's own (physics.md
+  !> section 6): cubesat 0.92 to 0.99 at 0.88 to 1.05 s, rocket 0.92 to 0.98 at 6.8 to 8.2 s;
+  !> without damping below 0.4.
+  subroutine deployment()
+    call one('cubesat', cubesat_shot(), 1.0e-4_wp, [0.92_wp, 0.99_wp], [0.88_wp, 1.05_wp])
+    call one('rocket', rocket_shot(), 2.0e-3_wp, [0.92_wp, 0.98_wp], [6.8_wp, 8.2_wp])
+  contains
+    subroutine one(name, shot_scene, step, width, moment)
+      character(len=*), intent(in) :: name
+      type(scene_t), intent(in) :: shot_scene
+      real(wp), intent(in) :: step, width(2), moment(2)
+      type(scene_t) :: scene
+      type(model_t) :: model
+      type(state_t) :: state
+      type(work_t) :: work
+      real(wp) :: area, largest, when
+      integer :: j, damped
+      scene = shot_scene
+      do damped = 1, 0, -1
+        if (damped == 0 .and. name /= 'cubesat') cycle
+        if (damped == 0) scene%net%damping_ratio = 0.0_wp
+        call build(scene, model, state)
+        call ready(model, state, work, method_rk4, step)
+        largest = 0.0_wp
+        when = 0.0_wp
+        do j = 1, nint(1.1_wp*moment(2)/step/20.0_wp)
+          call fly(model, state, work, 20)
+          area = mouth(model%net%perimeter_nodes, state)/model%net%side_length**2
+          if (area > largest) then
+            largest = area
+            when = state%time
+          end if
+        end do
+        call note(name//merge(' damped  ', ' undamped', damped == 1)//': largest mouth '//words(largest)//' at '//words(when)//' s')
+        if (damped == 1) then
+          call expect(largest >= width(1) .and. largest <= width(2), name//': how wide')
+          call expect(when >= moment(1) .and. when <= moment(2), name//': when')
+        else
+          call expect(largest < 0.4_wp, name//': undamped it hardly opens')
+        end if
+      end do
+    end subroutine one
+  end subroutine deployment
+
+  !> Area of the polygon of these nodes in the y-z plane [m2].
+  real(wp) function mouth(loop, state) result(area)
+    integer, intent(in) :: loop(:)
+    type(state_t), intent(in) :: state
+    integer :: i, a, b
+    area = 0.0_wp
+    do i = 1, size(loop)
+      a = loop(i)
+      b = loop(modulo(i, size(loop)) + 1)
+      associate (x => state%node_position)
+        area = area + 0.5_wp*(x(a, 2)*x(b, 3) - x(b, 2)*x(a, 3))
+      end associate
+    end do
+    area = abs(area)
+  end function mouth
 
   !> A stretched net with a fixed edge, its inner nodes set moving, none slack: errors against
   !> a much finer run fall by 16 (rk4) and 4 (midpoint) per halving.
