@@ -17,8 +17,8 @@ module castnet_mesh
   use castnet_vector, only: cross, dot, norm, unit
   implicit none
   private
-  public :: mesh_t, build_mesh, mesh_distance, mesh_point, lower_bound_of_distance, facet_normal
-  public :: leaf_distance2, lanes, stack_depth
+  public :: mesh_t, build_mesh, mesh_distance, mesh_point, bounds_of_distance, facet_normal
+  public :: lanes, stack_depth
   public :: leaf_a, leaf_ab, leaf_ac, leaf_n, leaf_gram, leaf_inverse, leaf_items
 
   integer, parameter :: lanes = 8
@@ -255,10 +255,10 @@ contains
     integer, intent(in) :: n
     real(wp), intent(in) :: point(3, n)                !! [m]
     real(wp), intent(out) :: distance(n), normal(3, n) !! [m], [-]
-    real(wp) :: bound
+    real(wp) :: bound, beyond
     integer :: i, facet
     do i = 1, n
-      call lower_bound_of_distance(mesh, point(:, i), bound, facet)
+      call bounds_of_distance(mesh, point(:, i), bound, beyond, facet)
       if (bound > limit) then
         distance(i) = bound
         normal(:, i) = facet_normal(mesh, facet)
@@ -268,11 +268,12 @@ contains
     end do
   end subroutine mesh_distance
 
-  !> What the grid knows of a point: its signed distance is at least `bound`, and `facet` is near.
-  pure subroutine lower_bound_of_distance(mesh, point, bound, facet)
+  !> What the grid knows of a point: its signed distance is at least `bound`, and at most `beyond` in
+  !> magnitude; `facet` is near.
+  pure subroutine bounds_of_distance(mesh, point, bound, beyond, facet)
     type(mesh_t), intent(in) :: mesh
     real(wp), intent(in) :: point(3)
-    real(wp), intent(out) :: bound
+    real(wp), intent(out) :: bound, beyond
     integer, intent(out) :: facet
     real(wp) :: place(3), x, y, z
     integer :: i, j, k, cell
@@ -286,13 +287,15 @@ contains
     y = (place(2) - j - 0.5_wp)*mesh%cell
     z = (place(3) - k - 0.5_wp)*mesh%cell
     facet = mesh%cell_facet(cell)
-    bound = mesh%cell_distance(cell) - sqrt(x*x + y*y + z*z)
+    z = sqrt(x*x + y*y + z*z)
+    bound = mesh%cell_distance(cell) - z
+    beyond = abs(mesh%cell_distance(cell)) + z
     x = max(mesh%lower(1) - point(1), point(1) - mesh%upper(1), 0.0_wp)
     y = max(mesh%lower(2) - point(2), point(2) - mesh%upper(2), 0.0_wp)
     z = max(mesh%lower(3) - point(3), point(3) - mesh%upper(3), 0.0_wp)
     z = sqrt(x*x + y*y + z*z)
     if (z > 0.0_wp) bound = max(bound, z)
-  end subroutine lower_bound_of_distance
+  end subroutine bounds_of_distance
 
   pure function facet_normal(mesh, facet) result(n)
     type(mesh_t), intent(in) :: mesh

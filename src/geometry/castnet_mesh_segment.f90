@@ -6,16 +6,17 @@
 !> slopes are the normals), which is exact where the solid is convex about the piece.
 module castnet_mesh_segment
   use castnet_kinds, only: wp
-  use castnet_mesh, only: mesh_t, mesh_point, lower_bound_of_distance, facet_normal, leaf_distance2, lanes, &
-                          stack_depth, leaf_a, leaf_ab, leaf_ac, leaf_n, leaf_inverse, leaf_items
+  use castnet_mesh, only: mesh_t, mesh_point, bounds_of_distance, facet_normal, lanes, stack_depth, &
+                          leaf_a, leaf_ab, leaf_ac, leaf_n, leaf_gram, leaf_inverse, leaf_items
   implicit none
   private
   public :: mesh_segments, mesh_sweep
 
   integer, parameter :: most_crossings = 64
-  integer, parameter :: pieces = 4                !! of an inside stretch, to start from the deepest
   integer, parameter :: most_cuts = 40
   integer, parameter :: most_steps = 400
+  real(wp), parameter :: shortest_stretch = 1.0e-9_wp !! of the segment, between two crossings
+  real(wp), parameter :: flat_slope = 1.0e-12_wp  !! sine of an angle that is none
   real(wp), parameter :: tie_ratio = 1.0e-12_wp   !! of the size: equally near
   real(wp), parameter :: sweep_ratio = 1.0e-11_wp !! of the size: arrived
 
@@ -23,6 +24,7 @@ module castnet_mesh_segment
   type :: found_t
     real(wp) :: least = huge(1.0_wp)          !! distance to the surface [m]
     real(wp) :: tie = 0.0_wp                  !! [m]
+    logical :: is_met = .false.               !! else `least` is where the search began
     real(wp) :: first = 0.5_wp, last = 0.5_wp !! fractions between which it is met [-]
     integer :: n_crossing = 0
     real(wp) :: crossing(most_crossings) = 0.0_wp
@@ -38,48 +40,67 @@ contains
     integer, intent(in) :: n
     real(wp), intent(in) :: a(3, n), b(3, n)                        !! [m]
     real(wp), intent(out) :: fraction(n), distance(n), normal(3, n) !! [-], [m], [-]
-    real(wp) :: v(3), bound
+    real(wp) :: v(3), bound, beyond, half_length
     integer :: i, facet
     do i = 1, n
       v = b(:, i) - a(:, i)
-      call lower_bound_of_distance(mesh, a(:, i) + 0.5_wp*v, bound, facet)
-      bound = bound - 0.5_wp*sqrt(v(1)*v(1) + v(2)*v(2) + v(3)*v(3))
-      if (bound > limit) then
+      half_length = 0.5_wp*sqrt(v(1)*v(1) + v(2)*v(2) + v(3)*v(3))
+      call bounds_of_distance(mesh, a(:, i) + 0.5_wp*v, bound, beyond, facet)
+      if (bound - half_length > limit) then
         fraction(i) = 0.5_wp
-        distance(i) = bound
+        distance(i) = bound - half_length
         normal(:, i) = facet_normal(mesh, facet)
       else
-        call mesh_segment(mesh, limit, a(:, i), v, facet, fraction(i), distance(i), normal(:, i))
+        call mesh_segment(mesh, limit, a(:, i), v, bound, beyond, facet, fraction(i), distance(i), normal(:, i))
       end if
     end do
   end subroutine mesh_segments
 
-  pure subroutine mesh_segment(mesh, limit, a, v, facet, fraction, distance, normal)
+  !> The distance to the surface is met at an end, over an edge of the mesh, or where the segment
+  !> pierces a face: over the inside of a face it is met all along, to the next edge or end.
+  pure subroutine mesh_segment(mesh, limit, a, v, bound, beyond, facet, fraction, distance, normal)
     type(mesh_t), intent(in) :: mesh
     real(wp), intent(in) :: limit
-    real(wp), intent(in) :: a(3), v(3)   !! start and whole way [m]
-    integer, intent(in) :: facet         !! near the middle
+    real(wp), intent(in) :: a(3), v(3)        !! start and whole way [m]
+    real(wp), intent(in) :: bound, beyond     !! what the grid knows of the middle: d >= bound, |d| <= beyond
+    integer, intent(in) :: facet              !! near the middle
     real(wp), intent(out) :: fraction, distance, normal(3)
     type(found_t) :: found
-    integer :: near
+    real(wp) :: d, g(3), far
+    integer :: near, k
     near = facet
+    found%tie = tie_ratio*mesh%extent
+    found%least = min(beyond, max(0.0_wp, limit)) + 2.0_wp*found%tie
+    do k = 0, 1
+      call bounds_of_distance(mesh, a + real(k, wp)*v, d, far, near)
+      if (d > found%least) cycle
+      call mesh_point(mesh, a + real(k, wp)*v, near, d, g)
+      call offer(real(k, wp), abs(d), found)
+    end do
+    call search_tree(mesh, a, v, found)
+    near = facet
+    if (found%n_crossing == 0) then
+      ! All on one side. Nothing nearer than the limit: any point tells which.
+      fraction = 0.5_wp*(found%first + found%last)
+      if (.not. found%is_met) then
+        fraction = 0.5_wp
+        if (bound > 0.0_wp) then
+          distance = max(found%least, bound - 0.5_wp*sqrt(v(1)*v(1) + v(2)*v(2) + v(3)*v(3)))
+          normal = facet_normal(mesh, facet)
+          return
+        end if
+      end if
+      call mesh_point(mesh, a + fraction*v, near, distance, normal)
+      if (distance > found%least + 4.0_wp*found%tie .and. found%is_met) then
+        ! Equally near at separate places: the first.
+        fraction = found%first
+        call mesh_point(mesh, a + fraction*v, near, distance, normal)
+      end if
+      if (distance >= -found%tie) return
+    end if
     fraction = 0.5_wp
     call mesh_point(mesh, a + 0.5_wp*v, near, distance, normal)
-    found%tie = tie_ratio*mesh%extent
-    found%least = min(abs(distance), max(0.0_wp, limit) + 2.0_wp*found%tie)
-    call search_tree(mesh, a, v, found)
-    if (found%n_crossing > 0 .or. distance <= 0.0_wp) then
-      call search_inside(mesh, a, v, found%crossing(:found%n_crossing), near, fraction, distance, normal)
-      return
-    end if
-    ! Nothing nearer than the limit was found, and the middle is outside.
-    if (found%least > limit) return
-    fraction = 0.5_wp*(found%first + found%last)
-    call mesh_point(mesh, a + fraction*v, near, distance, normal)
-    if (distance <= found%least + 4.0_wp*found%tie) return
-    ! Equally near at separate places: the first.
-    fraction = found%first
-    call mesh_point(mesh, a + fraction*v, near, distance, normal)
+    call search_inside(mesh, a, v, found%crossing(:found%n_crossing), near, fraction, distance, normal)
   end subroutine mesh_segment
 
   !> The least signed distance of a segment that is inside somewhere: stretch by stretch.
@@ -87,7 +108,7 @@ contains
     type(mesh_t), intent(in) :: mesh
     real(wp), intent(in) :: a(3), v(3), crossing(:)
     integer, intent(inout) :: near
-    real(wp), intent(inout) :: fraction, distance, normal(3)  !! in: of some point of the segment
+    real(wp), intent(inout) :: fraction, distance, normal(3)  !! in: of the middle
     real(wp) :: cut(0:most_crossings + 1), d, g(3), t
     integer :: k, i, last
     last = size(crossing) + 1
@@ -102,17 +123,23 @@ contains
       cut(i + 1) = t
     end do
     cut(last) = 1.0_wp
-    do k = 0, last
-      call mesh_point(mesh, a + cut(k)*v, near, d, g)
-      if (d < distance) call keep(cut(k), d, g, fraction, distance, normal)
+    do k = 0, 1
+      t = real(k, wp)
+      call mesh_point(mesh, a + t*v, near, d, g)
+      if (d < distance) call keep(t, d, g, fraction, distance, normal)
     end do
     do k = 1, last
+      if (cut(k) - cut(k - 1) <= shortest_stretch) cycle
       t = 0.5_wp*(cut(k - 1) + cut(k))
       call mesh_point(mesh, a + t*v, near, d, g)
       if (d >= 0.0_wp) cycle
-      call deepest(mesh, a, v, cut(k - 1), cut(k), near, t, d, g)
       if (d < distance) call keep(t, d, g, fraction, distance, normal)
+      call deepen(mesh, a, v, [cut(k - 1), t, cut(k)], d, g, near, fraction, distance, normal)
     end do
+    if (distance <= 0.0_wp) return
+    ! Only touched: a crossing is as near as the surface gets.
+    call mesh_point(mesh, a + cut(1)*v, near, distance, normal)
+    fraction = cut(1)
   end subroutine search_inside
 
   pure subroutine keep(t, d, g, fraction, distance, normal)
@@ -123,33 +150,35 @@ contains
     normal = g
   end subroutine keep
 
-  !> The least signed distance on an inside stretch: the deepest of a few points, then the tangents
-  !> at both ends of a bracket about it meet below the least (Kelley 1960), until they meet at it.
-  pure subroutine deepest(mesh, a, v, from, to, near, fraction, distance, normal)
+  !> Look for less on an inside stretch: the tangents at both ends of a bracket meet below the
+  !> least (Kelley 1960), until they meet at it.
+  pure subroutine deepen(mesh, a, v, place, d_middle, g_middle, near, fraction, distance, normal)
     type(mesh_t), intent(in) :: mesh
-    real(wp), intent(in) :: a(3), v(3), from, to
+    real(wp), intent(in) :: a(3), v(3)
+    real(wp), intent(in) :: place(3)                   !! from, middle, to
+    real(wp), intent(in) :: d_middle, g_middle(3)
     integer, intent(inout) :: near
-    real(wp), intent(out) :: fraction, distance, normal(3)
-    real(wp) :: t(0:pieces), d(0:pieces), slope(0:pieces), g(3), low, high, d_low, d_high, s_low, s_high, x, value, rate
-    integer :: k, best
-    best = 0
-    distance = huge(1.0_wp)
-    do k = 0, pieces
-      t(k) = from + (to - from)*(real(k, wp)/pieces)
-      call mesh_point(mesh, a + t(k)*v, near, d(k), g)
-      slope(k) = g(1)*v(1) + g(2)*v(2) + g(3)*v(3)
-      if (d(k) >= distance) cycle
-      best = k
-      call keep(t(k), d(k), g, fraction, distance, normal)
-    end do
-    k = max(0, best - 1)
-    low = t(k)
-    d_low = d(k)
-    s_low = slope(k)
-    k = min(pieces, best + 1)
-    high = t(k)
-    d_high = d(k)
-    s_high = slope(k)
+    real(wp), intent(inout) :: fraction, distance, normal(3)
+    real(wp) :: g(3), low, high, d_low, d_high, s_low, s_high, x, value, rate
+    integer :: k
+    low = place(2)
+    d_low = d_middle
+    s_low = g_middle(1)*v(1) + g_middle(2)*v(2) + g_middle(3)*v(3)
+    high = low
+    d_high = d_low
+    s_high = s_low
+    if (abs(s_low) <= flat_slope*sqrt(v(1)*v(1) + v(2)*v(2) + v(3)*v(3))) return
+    if (s_high > 0.0_wp) then
+      low = place(1)
+      call mesh_point(mesh, a + low*v, near, d_low, g)
+      s_low = g(1)*v(1) + g(2)*v(2) + g(3)*v(3)
+      if (d_low < distance) call keep(low, d_low, g, fraction, distance, normal)
+    else
+      high = place(3)
+      call mesh_point(mesh, a + high*v, near, d_high, g)
+      s_high = g(1)*v(1) + g(2)*v(2) + g(3)*v(3)
+      if (d_high < distance) call keep(high, d_high, g, fraction, distance, normal)
+    end if
     do k = 1, most_cuts
       if (s_low >= 0.0_wp .or. s_high <= 0.0_wp) exit
       x = (d_high - d_low + s_low*low - s_high*high)/(s_low - s_high)
@@ -168,7 +197,7 @@ contains
         s_high = rate
       end if
     end do
-  end subroutine deepest
+  end subroutine deepen
 
   !> Distance from a segment to the surface, and where the segment pierces it.
   pure subroutine search_tree(mesh, a, v, found)
@@ -231,98 +260,96 @@ contains
     end do
   end subroutine boxes_gap2
 
-  !> A segment and a triangle are nearest at an end of the segment, at a corner, at an edge, or where
-  !> the segment pierces the triangle: all eight triangles of a leaf at once.
+  !> The edges of eight triangles, and where the segment pierces them.
   pure subroutine try_leaf(f, a, v, found)
     real(wp), intent(in) :: f(lanes, leaf_items), a(3), v(3)
     type(found_t), intent(inout) :: found
-    integer, parameter :: places = 9
-    real(wp), parameter :: leak = 1.0e-18_wp  ! squared, of a side: a crossing on an edge is seen from both sides
-    real(wp) :: square(lanes, places), t(lanes, places), corner(lanes, 3), side(lanes, 3), piercing(lanes), reach
+    real(wp) :: square(lanes, 3), t(lanes, 3), corner(lanes, 3), side(lanes, 3), piercing(lanes), reach
     integer :: i, k
-    t(:, 1) = 0.0_wp
-    t(:, 2) = 1.0_wp
-    call leaf_distance2(f, a, square(:, 1))
-    call leaf_distance2(f, a + v, square(:, 2))
-    call pierce(f, a, v, t(:, 3), piercing)
     do i = 1, 3
       corner(:, i) = f(:, leaf_a + i - 1)
       side(:, i) = f(:, leaf_ab + i - 1)
     end do
-    call edge(corner, side, f(:, leaf_inverse), a, v, t(:, 4), square(:, 4), t(:, 5), square(:, 5))
+    call edge(corner, side, f(:, leaf_inverse), a, v, t(:, 1), square(:, 1))
     do i = 1, 3
       side(:, i) = f(:, leaf_ac + i - 1)
     end do
-    call edge(corner, side, f(:, leaf_inverse + 1), a, v, t(:, 6), square(:, 6), t(:, 7), square(:, 7))
+    call edge(corner, side, f(:, leaf_inverse + 1), a, v, t(:, 2), square(:, 2))
     do i = 1, 3
       corner(:, i) = corner(:, i) + side(:, i)
       side(:, i) = f(:, leaf_ab + i - 1) - side(:, i)
     end do
-    call edge(corner, side, f(:, leaf_inverse + 2), a, v, t(:, 8), square(:, 8), t(:, 9), square(:, 9))
-    do k = 1, lanes
-      square(k, 3) = merge(0.0_wp, huge(1.0_wp), piercing(k) <= leak/f(k, leaf_inverse))
-      if (square(k, 3) > 0.0_wp .or. found%n_crossing == most_crossings) cycle
-      found%n_crossing = found%n_crossing + 1
-      found%crossing(found%n_crossing) = t(k, 3)
-    end do
+    call edge(corner, side, f(:, leaf_inverse + 2), a, v, t(:, 3), square(:, 3))
     reach = (found%least + found%tie)**2
-    do i = 1, places
+    do i = 1, 3
       do k = 1, lanes
         if (square(k, i) <= reach) call offer(t(k, i), sqrt(square(k, i)), found)
       end do
     end do
+    call pierce(f, a, v, found%tie, piercing)
+    do k = 1, lanes
+      if (piercing(k) > 1.0_wp) cycle
+      call offer(piercing(k), 0.0_wp, found)
+      if (found%n_crossing == most_crossings) cycle
+      found%n_crossing = found%n_crossing + 1
+      found%crossing(found%n_crossing) = piercing(k)
+    end do
   end subroutine try_leaf
 
-  !> Where a segment meets the planes of eight triangles, and the squared distance there to the
-  !> triangle; huge where it does not meet the plane.
-  pure subroutine pierce(f, a, v, t, square)
-    real(wp), intent(in) :: f(lanes, leaf_items), a(3), v(3)
-    real(wp), intent(out) :: t(lanes), square(lanes)
-    real(wp) :: start, rise, d(lanes)
-    logical :: meets
+  !> Where a segment pierces eight triangles; 2 where it does not, or lies in their plane.
+  pure subroutine pierce(f, a, v, tie, t)
+    real(wp), intent(in) :: f(lanes, leaf_items), a(3), v(3), tie
+    real(wp), intent(out) :: t(lanes)
+    real(wp), parameter :: leak = 1.0e-9_wp  ! a crossing on an edge is seen from both sides
+    real(wp) :: p1, p2, p3, start, rise, x, a1, a2, b, c, determinant, crosses
     integer :: k
     !GCC$ unroll 1
     do k = 1, lanes
-      start = (a(1) - f(k, leaf_a))*f(k, leaf_n) + (a(2) - f(k, leaf_a + 1))*f(k, leaf_n + 1) + &
-              (a(3) - f(k, leaf_a + 2))*f(k, leaf_n + 2)
+      p1 = a(1) - f(k, leaf_a)
+      p2 = a(2) - f(k, leaf_a + 1)
+      p3 = a(3) - f(k, leaf_a + 2)
+      start = p1*f(k, leaf_n) + p2*f(k, leaf_n + 1) + p3*f(k, leaf_n + 2)
       rise = v(1)*f(k, leaf_n) + v(2)*f(k, leaf_n + 1) + v(3)*f(k, leaf_n + 2)
-      meets = start*(start + rise) <= 0.0_wp .and. abs(rise) > 0.0_wp
-      t(k) = merge(-start/merge(rise, 1.0_wp, meets), 0.0_wp, meets)
-      square(k) = merge(0.0_wp, huge(1.0_wp), meets)
-    end do
-    do k = 1, lanes
-      if (square(k) > 0.0_wp) cycle
-      call leaf_distance2(f, a + t(k)*v, d)
-      square(k) = d(k)
+      ! Numbers for conditions: with logicals gfortran 12 does not vectorise this loop.
+      crosses = merge(1.0_wp, 0.0_wp, start*(start + rise) <= 0.0_wp)* &
+                merge(1.0_wp, 0.0_wp, max(abs(start), abs(start + rise)) > tie)
+      x = max(0.0_wp, min(1.0_wp, -start/merge(rise, 1.0_wp, abs(rise) > 1.0e-200_wp)))
+      p1 = p1 + x*v(1)
+      p2 = p2 + x*v(2)
+      p3 = p3 + x*v(3)
+      a1 = f(k, leaf_ab)*p1 + f(k, leaf_ab + 1)*p2 + f(k, leaf_ab + 2)*p3
+      a2 = f(k, leaf_ac)*p1 + f(k, leaf_ac + 1)*p2 + f(k, leaf_ac + 2)*p3
+      b = f(k, leaf_gram + 2)*a1 - f(k, leaf_gram + 1)*a2
+      c = f(k, leaf_gram)*a2 - f(k, leaf_gram + 1)*a1
+      determinant = f(k, leaf_gram)*f(k, leaf_gram + 2) - f(k, leaf_gram + 1)*f(k, leaf_gram + 1)
+      crosses = crosses*merge(1.0_wp, 0.0_wp, b >= -leak*determinant)*merge(1.0_wp, 0.0_wp, c >= -leak*determinant)
+      t(k) = merge(x, 2.0_wp, crosses*merge(1.0_wp, 0.0_wp, b + c <= (1.0_wp + leak)*determinant) > 0.5_wp)
     end do
   end subroutine pierce
 
-  !> Where a segment is nearest to eight edges (Ericson, Real-Time Collision Detection, 5.1.9), and
-  !> where to their first corners: between corners' places a parallel edge is equally near.
-  pure subroutine edge(corner, side, inverse, a, v, t_edge, square_edge, t_corner, square_corner)
+  !> Where a segment is nearest to eight edges (Ericson, Real-Time Collision Detection, 5.1.9).
+  pure subroutine edge(corner, side, inverse, a, v, t_edge, square)
     real(wp), intent(in) :: corner(lanes, 3), side(lanes, 3), inverse(lanes), a(3), v(3)
-    real(wp), intent(out), dimension(lanes) :: t_edge, square_edge, t_corner, square_corner
-    real(wp) :: r1, r2, r3, vv, ww, vw, vr, wr, s, t, denominator
+    real(wp), intent(out) :: t_edge(lanes), square(lanes)
+    real(wp) :: r1, r2, r3, vv, ww, vw, vr, wr, s, t, denominator, inverse_vv
     integer :: k
     vv = v(1)*v(1) + v(2)*v(2) + v(3)*v(3)
-    vv = merge(vv, 1.0_wp, vv > 0.0_wp)
+    inverse_vv = 1.0_wp/merge(vv, 1.0_wp, vv > 0.0_wp)
+    !GCC$ unroll 1
     do k = 1, lanes
       r1 = a(1) - corner(k, 1)
       r2 = a(2) - corner(k, 2)
       r3 = a(3) - corner(k, 3)
-      ww = 1.0_wp/inverse(k)
+      ww = side(k, 1)*side(k, 1) + side(k, 2)*side(k, 2) + side(k, 3)*side(k, 3)
       vw = v(1)*side(k, 1) + v(2)*side(k, 2) + v(3)*side(k, 3)
       vr = v(1)*r1 + v(2)*r2 + v(3)*r3
       wr = side(k, 1)*r1 + side(k, 2)*r2 + side(k, 3)*r3
       denominator = vv*ww - vw*vw
       t = max(0.0_wp, min(1.0_wp, (vw*wr - vr*ww)/merge(denominator, 1.0_wp, denominator > 1.0e-24_wp*vv*ww)))
       s = max(0.0_wp, min(1.0_wp, (vw*t + wr)*inverse(k)))
-      t = max(0.0_wp, min(1.0_wp, (vw*s - vr)/vv))
+      t = max(0.0_wp, min(1.0_wp, (vw*s - vr)*inverse_vv))
       t_edge(k) = t
-      square_edge(k) = (r1 + t*v(1) - s*side(k, 1))**2 + (r2 + t*v(2) - s*side(k, 2))**2 + (r3 + t*v(3) - s*side(k, 3))**2
-      t = max(0.0_wp, min(1.0_wp, -vr/vv))
-      t_corner(k) = t
-      square_corner(k) = (r1 + t*v(1))**2 + (r2 + t*v(2))**2 + (r3 + t*v(3))**2
+      square(k) = (r1 + t*v(1) - s*side(k, 1))**2 + (r2 + t*v(2) - s*side(k, 2))**2 + (r3 + t*v(3) - s*side(k, 3))**2
     end do
   end subroutine edge
 
@@ -331,14 +358,15 @@ contains
     real(wp), intent(in) :: t, distance
     type(found_t), intent(inout) :: found
     if (distance > found%least + found%tie) return
-    if (distance < found%least - found%tie) then
+    if (distance < found%least - found%tie .or. .not. found%is_met) then
       found%first = t
       found%last = t
     else
       found%first = min(found%first, t)
       found%last = max(found%last, t)
     end if
-    found%least = min(found%least, distance)
+    found%least = merge(min(found%least, distance), distance, found%is_met)
+    found%is_met = .true.
   end subroutine offer
 
   !> First fraction of the way from p0 to p1 at which the signed distance is `limit` or less, 2 if
@@ -355,8 +383,8 @@ contains
     v = p1 - p0
     length = sqrt(v(1)*v(1) + v(2)*v(2) + v(3)*v(3))
     fraction = 0.0_wp
+    call bounds_of_distance(mesh, p0, d, t, facet)
     t = 0.0_wp
-    call lower_bound_of_distance(mesh, p0, d, facet)
     do k = 1, most_steps
       call mesh_point(mesh, p0 + fraction*v, facet, d, g)
       if (d <= limit + sweep_ratio*mesh%extent) return
