@@ -38,6 +38,7 @@ module castnet_mesh
     type(surface_t) :: surface                        !! as joined and checked
     real(wp) :: lower(3), upper(3)                    !! bounds [m]
     real(wp) :: extent                                !! largest [m]
+    real(wp) :: radius                                !! of a ball about the origin that holds it [m]
     integer :: root                                   !! > 0: a node; < 0: a leaf
     real(wp), allocatable :: box(:, :, :)             !! (lanes,6,n_node) lower and upper of the children [m]
     integer, allocatable :: child(:, :)               !! (lanes,n_node) as `root`; 0: none
@@ -63,6 +64,10 @@ contains
     mesh%lower = minval(surface%vertex, 2)
     mesh%upper = maxval(surface%vertex, 2)
     mesh%extent = maxval(mesh%upper - mesh%lower)
+    mesh%radius = 0.0_wp
+    do i = 1, size(surface%vertex, 2)
+      mesh%radius = max(mesh%radius, norm(surface%vertex(:, i)))
+    end do
     allocate (centre(3, m))
     do i = 1, m
       centre(:, i) = (surface%vertex(:, surface%triangle(1, i)) + surface%vertex(:, surface%triangle(2, i)) + &

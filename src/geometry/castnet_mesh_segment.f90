@@ -212,15 +212,15 @@ contains
     do while (height > 0)
       node = waiting(height)
       height = height - 1
-      reach = (found%least + found%tie)**2
-      if (waiting_distance(height + 1) > reach) cycle
+      reach = found%least + found%tie
+      if (waiting_distance(height + 1) > reach*reach) cycle
       if (node < 0) then
         call try_leaf(mesh%leaf(:, :, -node), a, v, found)
         cycle
       end if
-      call boxes_gap2(mesh%box(:, :, node), a, v, d)
+      call boxes_gap2(mesh%box(:, :, node), a, v, reach, d)
       do k = 1, lanes
-        if (d(k) > reach .or. mesh%child(k, node) == 0) cycle
+        if (d(k) > reach*reach .or. mesh%child(k, node) == 0) cycle
         ! The nearest on top.
         height = height + 1
         waiting(height) = mesh%child(k, node)
@@ -236,27 +236,38 @@ contains
     end do
   end subroutine search_tree
 
-  !> Squared distances from the boxes of a segment's quarters to eight boxes: the least of the four
-  !> is a lower bound of the segment's own.
-  pure subroutine boxes_gap2(bounds, a, v, square)
-    real(wp), intent(in) :: bounds(lanes, 6), a(3), v(3)
+  !> Lower bounds of the squared distances from a segment to eight boxes: that of its own box; huge
+  !> where the segment does not meet the box widened by `reach`, which for a slanting one says more.
+  pure subroutine boxes_gap2(bounds, a, v, reach, square)
+    real(wp), intent(in) :: bounds(lanes, 6), a(3), v(3), reach
     real(wp), intent(out) :: square(lanes)
-    real(wp) :: low(3), high(3), p(3), q(3), x, y, z
-    integer :: i, k
-    square = huge(1.0_wp)
-    p = a
-    do i = 1, 4
-      q = a + (0.25_wp*i)*v
-      low = min(p, q)
-      high = max(p, q)
-      p = q
-      !GCC$ unroll 1
-      do k = 1, lanes
-        x = max(bounds(k, 1) - high(1), max(low(1) - bounds(k, 4), 0.0_wp))
-        y = max(bounds(k, 2) - high(2), max(low(2) - bounds(k, 5), 0.0_wp))
-        z = max(bounds(k, 3) - high(3), max(low(3) - bounds(k, 6), 0.0_wp))
-        square(k) = min(square(k), x*x + y*y + z*z)
-      end do
+    real(wp), parameter :: steepest = 1.0e150_wp  ! times a box of no child still a number
+    real(wp) :: low(3), high(3), inverse(3), x, y, z, enter, leave, p, q
+    integer :: k
+    low = min(a, a + v)
+    high = max(a, a + v)
+    do k = 1, 3
+      inverse(k) = sign(steepest, v(k))
+      if (abs(v(k)) > 1.0_wp/steepest) inverse(k) = 1.0_wp/v(k)
+    end do
+    !GCC$ unroll 1
+    do k = 1, lanes
+      x = max(bounds(k, 1) - high(1), max(low(1) - bounds(k, 4), 0.0_wp))
+      y = max(bounds(k, 2) - high(2), max(low(2) - bounds(k, 5), 0.0_wp))
+      z = max(bounds(k, 3) - high(3), max(low(3) - bounds(k, 6), 0.0_wp))
+      p = (bounds(k, 1) - reach - a(1))*inverse(1)
+      q = (bounds(k, 4) + reach - a(1))*inverse(1)
+      enter = min(p, q)
+      leave = max(p, q)
+      p = (bounds(k, 2) - reach - a(2))*inverse(2)
+      q = (bounds(k, 5) + reach - a(2))*inverse(2)
+      enter = max(enter, min(p, q))
+      leave = min(leave, max(p, q))
+      p = (bounds(k, 3) - reach - a(3))*inverse(3)
+      q = (bounds(k, 6) + reach - a(3))*inverse(3)
+      enter = max(enter, max(min(p, q), 0.0_wp))
+      leave = min(leave, min(max(p, q), 1.0_wp))
+      square(k) = merge(x*x + y*y + z*z, huge(1.0_wp), enter <= leave + 1.0e-9_wp)
     end do
   end subroutine boxes_gap2
 

@@ -327,10 +327,7 @@ contains
     integer :: k
     radius = 0.0_wp
     if (shape%kind == shape_mesh) then
-      do k = 1, size(shape%mesh%surface%vertex, 2)
-        radius = max(radius, sum(shape%mesh%surface%vertex(:, k)**2))
-      end do
-      radius = sqrt(radius)
+      radius = shape%mesh%radius
       return
     end if
     do k = 1, size(shape%parts)

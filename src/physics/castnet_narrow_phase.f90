@@ -6,7 +6,7 @@
 module castnet_narrow_phase
   use castnet_kinds, only: wp
   use castnet_net, only: net_t
-  use castnet_shape, only: shape_t, signed_distance, segment_distance
+  use castnet_shape, only: shape_t, signed_distance, signed_distance_within, segment_distance_within
   use castnet_contact_list, only: contact_list_t
   use castnet_near_list, only: near_list_t
   implicit none
@@ -44,7 +44,7 @@ contains
       near%a(3, n) = y(i, 3)
     end do
     if (n == 0) return
-    call signed_distance(shape, n, near%a, near%distance, near%normal)
+    call signed_distance_within(shape, threshold, n, near%a, near%distance, near%normal)
     do k = 1, n
       if (.not. near%distance(k) <= threshold) cycle
       i = near%found(k)
@@ -87,7 +87,7 @@ contains
       near%b(3, n) = y(b, 3)
     end do
     if (n == 0) return
-    call segment_distance(shape, n, near%a, near%b, near%fraction, near%distance, near%normal)
+    call segment_distance_within(shape, threshold, n, near%a, near%b, near%fraction, near%distance, near%normal)
     n_node_contact = list%n
     do k = 1, n_node_contact
       node_gap(list%node_a(k)) = list%gap(k)

@@ -10,7 +10,7 @@ module castnet_near_list
   use castnet_kinds, only: wp
   use castnet_contact_list, only: lane
   use castnet_net, only: net_t
-  use castnet_shape, only: shape_t, signed_distance, segment_distance
+  use castnet_shape, only: shape_t, signed_distance_within, segment_distance_within
   implicit none
   private
   public :: near_list_t, reserve_near, rebuild_near, largest_move
@@ -92,12 +92,12 @@ contains
       near%a(2, k) = y(i, 2)
       near%a(3, k) = y(i, 3)
     end do
-    call signed_distance(shape, k, near%a, near%distance, near%normal)
+    call signed_distance_within(shape, reach, k, near%a, near%distance, near%normal)
     call keep(k, near%found, near%distance, reach, near%n_node, near%node, near%node_distance)
     near%n_cable = 0
     if (.not. with_cables) return
     call segments_near_box(net%n_cable, net%cable_nodes, n_pad, y, middle, half, reach, k, near%found, near%a, near%b)
-    call segment_distance(shape, k, near%a, near%b, near%fraction, near%distance, near%normal)
+    call segment_distance_within(shape, reach, k, near%a, near%b, near%fraction, near%distance, near%normal)
     call keep(k, near%found, near%distance, reach, near%n_cable, near%cable, near%cable_distance)
   end subroutine rebuild_near
 
