@@ -1,29 +1,219 @@
-!> Benchmark: nanoseconds per node and step without contact, microseconds per contact
-!> event; one thread.
+!> Benchmarks, driven by tools/bench. One line of results each; arguments:
+!>   kernel SQUARES METHOD [THREADS] [shuffled]   nanoseconds per node and step, no contact
+!>   capture SCENE [group/key=value ...]          a whole run without files, stage by stage
+!>   memory SQUARES                               a few steps of a large net, bytes per node
+!>   contact                                      microseconds per contact event
 program bench
   use bench_contact, only: time_contacts
   use castnet_kinds, only: wp, i8
   use castnet_error, only: error_t
   use castnet_model, only: model_t
-  use castnet_model_builder, only: file_net_t
+  use castnet_model_builder, only: file_net_t, build_model
+  use castnet_net_builder, only: finish_net
   use castnet_scene, only: scene_t
+  use castnet_scene_file, only: read_scene
   use castnet_setup, only: set_up, step_report_t
+  use castnet_simulation, only: simulation_t, due_t, start, run_to_next, is_finished, take_measures, take_row, frame_taken
+  use castnet_record, only: history_row_t
+  use castnet_runner, only: prepare_scene
   use castnet_state, only: state_t
-  use castnet_stepper, only: work_t, advance
-  use scenes, only: shot, rocket_shot, cubesat_shot
+  use castnet_stepper, only: work_t, advance, settle
+  use castnet_text, only: text_t
+  use scenes, only: shot, random_numbers
   implicit none
+  character(len=256) :: mode
+  logical :: on_threads = .false.
 
-  call time_net('rocket', rocket_shot(), 1.0e-3_wp)
-  call time_net('cubesat', cubesat_shot(), 5.0e-5_wp)
-  call time_net('large', shot([160, 160], 0.2_wp, 1.0e-3_wp, 1.0e-3_wp, 0.03_wp, 1.8_wp), 1.0e-4_wp)
-  call time_contacts()
+  call get_command_argument(1, mode)
+  select case (mode)
+  case ('kernel')
+    call time_kernel()
+  case ('capture')
+    call time_capture()
+  case ('memory')
+    call measure_memory()
+  case ('contact')
+    call time_contacts()
+  case default
+    print '(a)', 'bench kernel SQUARES METHOD [THREADS] [shuffled] | capture SCENE [group/key=value ...] | memory SQUARES | contact'
+  end select
 
 contains
 
-  subroutine time_net(name, scene_of_net, step)
-    character(len=*), intent(in) :: name
-    type(scene_t), intent(in) :: scene_of_net
-    real(wp), intent(in) :: step
+  integer function whole(k, default)
+    integer, intent(in) :: k, default
+    character(len=32) :: word
+    call get_command_argument(k, word)
+    whole = default
+    if (len_trim(word) > 0) read (word, *) whole
+  end function whole
+
+  !> Processor time, which a busy machine disturbs less; on several threads the wall's.
+  real(wp) function seconds()
+    integer(i8) :: ticks, rate
+    if (on_threads) then
+      call system_clock(ticks, rate)
+      seconds = real(ticks, wp)/real(rate, wp)
+    else
+      call cpu_time(seconds)
+    end if
+  end function seconds
+
+  subroutine stop_on(error)
+    type(error_t), allocatable, intent(in) :: error
+    if (.not. allocated(error)) return
+    print '(a)', error%message
+    stop 1
+  end subroutine stop_on
+
+  !> The rocket's net with more or fewer squares, in flight.
+  subroutine large_shot(squares, method, scene)
+    integer, intent(in) :: squares
+    character(len=*), intent(in) :: method
+    type(scene_t), intent(out) :: scene
+    scene = shot([squares, squares], 30.0_wp/squares, 1.0e-3_wp, 1.0e-3_wp, 1.0_wp, 10.0_wp)
+    scene%time%method = method
+    scene%time%step = 2.0e-2_wp/squares/4
+  end subroutine large_shot
+
+  subroutine time_kernel()
+    type(scene_t) :: scene
+    type(model_t) :: model
+    type(state_t) :: state
+    type(work_t) :: work
+    type(step_report_t) :: report
+    type(file_net_t), allocatable :: net
+    type(error_t), allocatable :: error
+    character(len=32) :: method, how
+    real(wp) :: t0, best
+    integer :: i, k, n_step
+
+    call get_command_argument(3, method)
+    call get_command_argument(5, how)
+    on_threads = whole(4, 1) > 1
+    call large_shot(whole(2, 20), method, scene)
+    if (how == 'shuffled') call shuffle(scene, net)
+    call set_up(scene, whole(4, 1), net, model, state, work, report, error)
+    call stop_on(error)
+    n_step = max(4, 1000000/model%net%n_node)
+    best = huge(1.0_wp)
+    do k = 1, 12
+      t0 = seconds()
+      do i = 1, n_step
+        call advance(model, state, work, error)
+      end do
+      best = min(best, (seconds() - t0)/n_step/model%net%n_node*1.0e9_wp)
+    end do
+    call settle(model, state, work)
+    print '(a,1x,i0,1x,a,1x,f0.3,1x,es23.15)', 'kernel', model%net%n_node, trim(method), best, &
+      sum(state%node_position(:model%net%n_node, 1))
+  end subroutine time_kernel
+
+  !> The same net as it would come from a file, nodes and cables in random order.
+  subroutine shuffle(scene, file)
+    type(scene_t), intent(inout) :: scene
+    type(file_net_t), allocatable, intent(out) :: file
+    type(model_t) :: model
+    type(state_t) :: state
+    type(file_net_t), allocatable :: none
+    type(error_t), allocatable :: error
+    integer, allocatable :: node(:), cable(:)
+    integer :: n, m, seed
+    call build_model(scene, none, model, state, error)
+    call stop_on(error)
+    n = model%net%n_node
+    m = model%net%n_cable
+    seed = 12345
+    node = permutation(n, seed)
+    cable = permutation(m, seed)
+    allocate (file)
+    associate (net => file%net, old => model%net)
+      net%n_node = n
+      net%n_cable = m
+      allocate (net%node_mass(n), net%fixed(n), net%is_bullet(n), net%cable_nodes(2, m), net%natural_length(m), &
+                net%axial_stiffness(m), net%damping(m), file%position(3, n), file%velocity(3, n), net%faces(4, 0))
+      allocate (net%bullet_nodes(0), net%perimeter_nodes(0), net%corner_nodes(0))
+      net%node_mass(node) = old%node_mass
+      net%fixed = .false.
+      net%is_bullet = .false.
+      file%position(:, node) = transpose(state%node_position(:n, :))
+      file%velocity(:, node) = transpose(state%node_velocity(:n, :))
+      net%cable_nodes(1, cable) = node(old%cable_nodes(1, :))
+      net%cable_nodes(2, cable) = node(old%cable_nodes(2, :))
+      net%natural_length(cable) = old%natural_length
+      net%axial_stiffness(cable) = old%axial_stiffness
+      net%damping(cable) = old%damping
+    end associate
+    call finish_net(file%net)
+    scene%net%kind = 'file'
+    scene%time%allow_unstable = .true.   ! the bound for any shape is lower
+    deallocate (scene%bullets)
+  end subroutine shuffle
+
+  function permutation(n, seed) result(p)
+    integer, intent(in) :: n
+    integer, intent(inout) :: seed
+    integer, allocatable :: p(:)
+    real(wp) :: r(1)
+    integer :: i, j, k
+    p = [(i, i=1, n)]
+    do i = n, 2, -1
+      call random_numbers(seed, r)
+      j = min(i, 1 + int(0.5_wp*(r(1) + 1.0_wp)*i))
+      k = p(i); p(i) = p(j); p(j) = k
+    end do
+  end function permutation
+
+  !> Everything of a run but its files: set-up, steps, rows, frames' guards, verdicts.
+  subroutine time_capture()
+    type(scene_t) :: scene
+    type(simulation_t) :: sim
+    type(due_t) :: due
+    type(history_row_t) :: row
+    type(error_t), allocatable :: error
+    type(text_t), allocatable :: overrides(:)
+    character(len=256) :: path, word
+    character(len=:), allocatable :: warnings
+    real(wp) :: t0, t(5), took(4)
+    integer :: i
+
+    call get_command_argument(2, path)
+    allocate (overrides(max(0, command_argument_count() - 2)))
+    do i = 1, size(overrides)
+      call get_command_argument(2 + i, word)
+      overrides(i)%chars = trim(word)
+    end do
+    t(1) = seconds()
+    call read_scene(trim(path), overrides, scene, warnings, error)
+    call stop_on(error)
+    t(2) = seconds()
+    call prepare_scene(scene, 1, sim, error)
+    call stop_on(error)
+    t(3) = seconds()
+    took = 0.0_wp
+    do
+      t0 = seconds()
+      call run_to_next(sim, due, error)
+      took(1) = took(1) + seconds() - t0
+      call stop_on(error)
+      t0 = seconds()
+      if (due%row) row = take_row(sim)
+      took(2) = took(2) + seconds() - t0
+      t0 = seconds()
+      if (due%verdict) call take_measures(sim)
+      took(3) = took(3) + seconds() - t0
+      if (due%frame) call frame_taken(sim)
+      if (is_finished(sim)) exit
+    end do
+    t(4) = seconds()
+    print '(a,1x,a,f0.3,a,f0.3,a,f0.3,a,f0.3,a,f0.3,a,f0.3,a,i0,a,es9.2,a,f0.4,a,es10.3)', 'capture', 'total ', &
+      1.0e3_wp*(t(4) - t(1)), ' ms: read ', 1.0e3_wp*(t(2) - t(1)), ' set up ', 1.0e3_wp*(t(3) - t(2)), ' steps ', &
+      1.0e3_wp*took(1), ' rows ', 1.0e3_wp*took(2), ' verdicts ', 1.0e3_wp*took(3), ' ms; ', sim%state%step, ' steps of ', &
+      sim%model%step, ' s; first contact ', sim%state%first_contact, ' target speed ', sqrt(sum(sim%state%target%velocity**2))
+  end subroutine time_capture
+
+  !> Peak memory of a process that sets up and steps a large net.
+  subroutine measure_memory()
     type(scene_t) :: scene
     type(model_t) :: model
     type(state_t) :: state
@@ -31,36 +221,27 @@ contains
     type(step_report_t) :: report
     type(file_net_t), allocatable :: no_file
     type(error_t), allocatable :: error
-    character(len=8) :: method(2)
-    integer(i8) :: t0, t1, rate
-    integer :: i, k, m, n_step
-    real(wp) :: best
+    integer :: unit, status, i, kilobytes
+    character(len=128) :: line
+    real(wp) :: t0, took
 
-    method = ['rk4     ', 'midpoint']
-    do m = 1, 2
-      scene = scene_of_net
-      scene%time%step = step
-      scene%time%method = method(m)
-      call set_up(scene, 1, no_file, model, state, work, report, error)
-      if (allocated(error)) then
-        print '(a)', error%message
-        stop
-      end if
-      print '(a,3(a,es12.4))', name, ': frequency', report%spectrum%highest_frequency, ' limit', report%stable_limit, &
-        ' damping', report%spectrum%largest_damping_rate
-      n_step = max(50, 4000000/model%net%n_node/10)
-      best = huge(1.0_wp)
-      do k = 1, 7
-        call system_clock(t0, rate)
-        do i = 1, n_step
-          call advance(model, state, work, error)
-        end do
-        call system_clock(t1)
-        best = min(best, real(t1 - t0, wp)/rate/n_step/model%net%n_node*1.0e9_wp)
-      end do
-      print '(a,1x,a,i8,a,f8.2,a,f10.4,3es14.6)', name, method(m), model%net%n_node, ' nodes', best, &
-        ' ns per node-step, t=', state%time, state%node_position(model%net%n_node, :)
+    call large_shot(whole(2, 1000), 'midpoint', scene)
+    t0 = seconds()
+    call set_up(scene, 1, no_file, model, state, work, report, error)
+    call stop_on(error)
+    took = seconds() - t0
+    do i = 1, 5
+      call advance(model, state, work, error)
     end do
-  end subroutine time_net
+    kilobytes = 0
+    open (newunit=unit, file='/proc/self/status', action='read', iostat=status)
+    do while (status == 0)
+      read (unit, '(a)', iostat=status) line
+      if (line(:6) == 'VmHWM:') read (line(7:), *) kilobytes
+    end do
+    close (unit)
+    print '(a,1x,i0,a,f0.1,a,f0.1,a)', 'memory', model%net%n_node, ' nodes ', 1024.0_wp*kilobytes/model%net%n_node, &
+      ' bytes per node; set up in ', took, ' s'
+  end subroutine measure_memory
 
 end program bench

@@ -2,6 +2,7 @@
 module test_diagnostics
   use, intrinsic :: ieee_arithmetic, only: ieee_value, ieee_quiet_nan, ieee_positive_inf
   use castnet_kinds, only: wp, i8
+  use castnet_cable_plan, only: build_cable_plan
   use castnet_diagnostics, only: net_kinetic_energy, target_kinetic_energy, elastic_energy, linear_momentum, &
                                  angular_momentum, net_centre_of_mass, cable_tensions, largest_tension, &
                                  record_history, impulse_percentiles, first_bad_node, check_finite
@@ -54,6 +55,8 @@ contains
     model%net%natural_length = 0.11_wp
     model%net%axial_stiffness = 350.0_wp
     model%net%damping = 0.4_wp
+    call build_cable_plan(model%net%plan, n, model%net%cable_nodes, model%net%axial_stiffness, &
+                          model%net%natural_length, model%net%damping)
     model%target%mass = 3.5_wp
     model%target%inertia = reshape([0.03_wp, 0.001_wp, -0.002_wp, 0.001_wp, 0.04_wp, 0.003_wp, &
                                     -0.002_wp, 0.003_wp, 0.02_wp], [3, 3])

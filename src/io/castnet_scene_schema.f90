@@ -18,7 +18,7 @@ module castnet_scene_schema
   character(len=*), parameter :: pending_laws = 'penalty hunt_crossley'
   character(len=*), parameter :: pending_detect = ''
   character(len=*), parameter :: pending_shapes = ''
-  character(len=*), parameter :: pending_methods = 'midpoint adaptive'
+  character(len=*), parameter :: pending_methods = 'adaptive'
   logical, parameter :: pending_friction = .false.
   logical, parameter :: pending_closing = .false.
   logical, parameter :: pending_orbit = .false.

@@ -13,7 +13,7 @@ module castnet_cable_force
   use castnet_cable_plan, only: cable_plan_t
   implicit none
   private
-  public :: slab_t, chunk_size, new_slabs, slab_halo, chunk_cables, chunk_force, loose_cables, sum_in_order
+  public :: slab_t, chunk_size, new_slabs, slab_halo, chunk_cables, chunk_force, loose_cables, sum_in_order, survey_cables
 
   integer, parameter :: chunk_size = 128  !! nodes; all of a chunk's data stay in the first cache
   integer, parameter :: lanes = 8         !! partial sums of a fixed-order sum
@@ -201,6 +201,83 @@ contains
       force(k, 3) = tension*dz
     end do
   end subroutine loose_cables
+
+  !> Elastic energy of all cables, sum of k (l - l0)**2/2 over the taut ones, and the
+  !> largest tension, in one pass along the plan. Sums in lanes, in slot order.
+  pure subroutine survey_cables(plan, n_pad, x, v, floor_tension, elastic, largest)
+    type(cable_plan_t), intent(in) :: plan
+    integer, intent(in) :: n_pad
+    real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)  !! [m], [m/s]
+    real(wp), intent(in) :: floor_tension             !! 0 clamps, -huge does not [N]
+    real(wp), intent(out) :: elastic                  !! [J]
+    real(wp), intent(out) :: largest                  !! 0 when every cable is slack [N]
+    real(wp) :: ax(chunk_size), ay(chunk_size), az(chunk_size), bx(chunk_size), by(chunk_size), bz(chunk_size)
+    real(wp) :: au(chunk_size), av(chunk_size), aw(chunk_size), bu(chunk_size), bv(chunk_size), bw(chunk_size)
+    real(wp) :: total(lanes), most(lanes)
+    integer :: d, a, b, m, k, slot
+
+    total = 0.0_wp
+    most = 0.0_wp
+    do d = 1, plan%n_diagonal
+      do a = plan%first(d), plan%last(d), chunk_size
+        m = min(chunk_size, plan%last(d) - a + 1)
+        b = a + plan%offset(d)
+        slot = plan%start(d) + a - plan%first(d)
+        call survey_chunk(m, x(a, 1), x(a, 2), x(a, 3), x(b, 1), x(b, 2), x(b, 3), &
+                          v(a, 1), v(a, 2), v(a, 3), v(b, 1), v(b, 2), v(b, 3), &
+                          plan%stiffness(slot), plan%natural_length(slot), plan%damping(slot), floor_tension, total, most)
+      end do
+    end do
+    do slot = 1, plan%n_loose, chunk_size
+      m = min(chunk_size, plan%n_loose - slot + 1)
+      do k = 1, m
+        a = plan%loose_a(slot + k - 1)
+        b = plan%loose_b(slot + k - 1)
+        ax(k) = x(a, 1); ay(k) = x(a, 2); az(k) = x(a, 3)
+        bx(k) = x(b, 1); by(k) = x(b, 2); bz(k) = x(b, 3)
+        au(k) = v(a, 1); av(k) = v(a, 2); aw(k) = v(a, 3)
+        bu(k) = v(b, 1); bv(k) = v(b, 2); bw(k) = v(b, 3)
+      end do
+      k = plan%loose_start + slot - 1
+      call survey_chunk(m, ax, ay, az, bx, by, bz, au, av, aw, bu, bv, bw, &
+                        plan%stiffness(k), plan%natural_length(k), plan%damping(k), floor_tension, total, most)
+    end do
+    elastic = 0.5_wp*(((total(1) + total(5)) + (total(2) + total(6))) + ((total(3) + total(7)) + (total(4) + total(8))))
+    largest = maxval(most)
+  end subroutine survey_cables
+
+  !> Twice the elastic energy and the largest tension of m cables, lane by lane.
+  pure subroutine survey_chunk(m, ax, ay, az, bx, by, bz, au, av, aw, bu, bv, bw, &
+                               stiffness, natural_length, damping, floor_tension, total, most)
+    integer, intent(in) :: m
+    real(wp), intent(in) :: ax(m), ay(m), az(m), bx(m), by(m), bz(m), au(m), av(m), aw(m), bu(m), bv(m), bw(m)
+    real(wp), intent(in) :: stiffness(m), natural_length(m), damping(m), floor_tension
+    real(wp), intent(inout) :: total(lanes), most(lanes)
+    real(wp) :: twice(chunk_size), pull(chunk_size)
+    real(wp) :: dx, dy, dz, length, rate, stretch, spring
+    integer :: k, l, rows
+
+    do k = 1, m
+      dx = bx(k) - ax(k)
+      dy = by(k) - ay(k)
+      dz = bz(k) - az(k)
+      length = sqrt(max(dx*dx + (dy*dy + dz*dz), smallest_square))
+      rate = (dx*(bu(k) - au(k)) + (dy*(bv(k) - av(k)) + dz*(bw(k) - aw(k))))/length
+      stretch = max(length - natural_length(k), 0.0_wp)
+      spring = stiffness(k)*stretch
+      twice(k) = spring*stretch
+      pull(k) = merge(max(floor_tension, spring + damping(k)*rate), 0.0_wp, stretch > 0.0_wp)
+    end do
+    rows = lanes*((m + lanes - 1)/lanes)
+    twice(m + 1:rows) = 0.0_wp
+    pull(m + 1:rows) = 0.0_wp
+    do k = 0, rows - lanes, lanes
+      do l = 1, lanes
+        total(l) = total(l) + twice(k + l)
+        most(l) = max(most(l), pull(k + l))
+      end do
+    end do
+  end subroutine survey_chunk
 
   !> Force on the nodes begin..finish from all their cables: diagonals in their order,
   !> then loose cables in slot order.

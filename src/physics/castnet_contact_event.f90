@@ -162,6 +162,8 @@ contains
     body = body_inertia(model, r)
     call resolve_contacts(model%contact, body, work%list, work%solver, work%report)
     call kick_nodes(model%net%n_pad, state%node_velocity, work%list)
+    ! The velocity that 'midpoint' carries ahead jumps alike.
+    if (allocated(state%velocity_ahead)) call kick_nodes(model%net%n_pad, state%velocity_ahead, work%list)
     if (body%free) then
       state%target%velocity = state%target%velocity + work%report%twist(1:3)
       state%target%angular_velocity = state%target%angular_velocity + multiply_transposed(r, work%report%twist(4:6))

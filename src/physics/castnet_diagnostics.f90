@@ -6,7 +6,7 @@
 !> vector length changes.
 module castnet_diagnostics
   use castnet_kinds, only: wp, i8
-  use castnet_constants, only: tiny_length
+  use castnet_cable_force, only: survey_cables
   use castnet_error, only: error_t, fail, exit_numerical
   use castnet_model, only: model_t, target_t
   use castnet_net, only: net_t
@@ -33,9 +33,8 @@ contains
     row%time = state%time
     if (allocated(model%net)) then
       row%kinetic_net = net_kinetic_energy(model%net, state%node_velocity)
-      row%elastic = elastic_energy(model%net, state%node_position)
-      row%max_tension = max(state%tally%max_tension, &
-                            largest_tension(model%net, state%node_position, state%node_velocity))
+      call survey_net(model%net, state%node_position, state%node_velocity, row%elastic, row%max_tension)
+      row%max_tension = max(state%tally%max_tension, row%max_tension)
     end if
     if (allocated(model%target)) row%kinetic_target = target_kinetic_energy(model%target, state%target)
     row%linear_momentum = linear_momentum(model, state)
@@ -58,18 +57,9 @@ contains
   !> Sum of m v.v/2 over the nodes [J].
   pure real(wp) function net_kinetic_energy(net, velocity) result(energy)
     type(net_t), intent(in) :: net
-    real(wp), intent(in) :: velocity(:, :)  !! (n_pad,3) [m/s]
-    real(wp) :: part(lanes)
-    integer :: i, k, n
-    part = 0.0_wp
-    do i = 0, net%n_node - 1, lanes
-      n = min(lanes, net%n_node - i)
-      do k = 1, n
-        part(k) = part(k) + net%node_mass(i + k)*(velocity(i + k, 1)*velocity(i + k, 1) + &
-                  velocity(i + k, 2)*velocity(i + k, 2) + velocity(i + k, 3)*velocity(i + k, 3))
-      end do
-    end do
-    energy = 0.5_wp*fold(part)
+    real(wp), contiguous, intent(in) :: velocity(:, :)  !! (n_pad,3) [m/s]
+    energy = 0.0_wp
+    if (net%n_node > 0) energy = 0.5_wp*weighted_square(net%n_node, net%node_mass, velocity(:, 1), velocity(:, 2), velocity(:, 3))
   end function net_kinetic_energy
 
   !> m v.v/2 + w.I w/2 [J]; a fixed target's motion is prescribed and has no energy of its own.
@@ -90,23 +80,18 @@ contains
   pure real(wp) function elastic_energy(net, position) result(energy)
     type(net_t), intent(in) :: net
     real(wp), intent(in) :: position(:, :)  !! (n_pad,3) [m]
-    real(wp) :: part(lanes), stretch, dx, dy, dz
-    integer :: i, k, n, a, b
-    part = 0.0_wp
-    do i = 0, net%n_cable - 1, lanes
-      n = min(lanes, net%n_cable - i)
-      do k = 1, n
-        a = net%cable_nodes(1, i + k)
-        b = net%cable_nodes(2, i + k)
-        dx = position(b, 1) - position(a, 1)
-        dy = position(b, 2) - position(a, 2)
-        dz = position(b, 3) - position(a, 3)
-        stretch = max(0.0_wp, sqrt(dx*dx + dy*dy + dz*dz) - net%natural_length(i + k))
-        part(k) = part(k) + net%axial_stiffness(i + k)/net%natural_length(i + k)*stretch*stretch
-      end do
-    end do
-    energy = 0.5_wp*fold(part)
+    real(wp) :: largest
+    call survey_net(net, position, position, energy, largest)
   end function elastic_energy
+
+  !> Elastic energy [J] and the largest tension [N], 0 when every cable is slack.
+  pure subroutine survey_net(net, position, velocity, elastic, largest)
+    type(net_t), intent(in) :: net
+    real(wp), contiguous, intent(in) :: position(:, :), velocity(:, :)  !! (n_pad,3) [m], [m/s]
+    real(wp), intent(out) :: elastic, largest
+    call survey_cables(net%plan, size(position, 1), position, velocity, merge(0.0_wp, -huge(1.0_wp), net%clamp_tension), &
+                       elastic, largest)
+  end subroutine survey_net
 
   !> Linear momentum of net and target [kg m/s].
   pure function linear_momentum(model, state) result(momentum)
@@ -184,11 +169,8 @@ contains
   pure real(wp) function largest_tension(net, position, velocity) result(largest)
     type(net_t), intent(in) :: net
     real(wp), intent(in) :: position(:, :), velocity(:, :)
-    integer :: i
-    largest = 0.0_wp
-    do i = 1, net%n_cable
-      largest = max(largest, one_tension(net, position, velocity, i))
-    end do
+    real(wp) :: elastic
+    call survey_net(net, position, velocity, elastic, largest)
   end function largest_tension
 
   pure real(wp) function one_tension(net, position, velocity, i) result(tension)
@@ -201,8 +183,8 @@ contains
     b = net%cable_nodes(2, i)
     d = position(b, :) - position(a, :)
     w = velocity(b, :) - velocity(a, :)
-    length = sqrt(d(1)*d(1) + d(2)*d(2) + d(3)*d(3))
-    rate = (d(1)*w(1) + d(2)*w(2) + d(3)*w(3))/max(length, tiny_length)
+    length = sqrt(max(d(1)*d(1) + (d(2)*d(2) + d(3)*d(3)), 1.0e-60_wp))
+    rate = (d(1)*w(1) + (d(2)*w(2) + d(3)*w(3)))/length
     tension = 0.0_wp
     if (.not. length > net%natural_length(i)) return
     tension = net%axial_stiffness(i)/net%natural_length(i)*(length - net%natural_length(i)) + net%damping(i)*rate
@@ -308,32 +290,59 @@ contains
     end do
   end function body_spin
 
-  !> Sum of w x.
+  !> Sum of w x. Whole blocks of lanes first: a constant count is what vectorises.
   pure real(wp) function weighted_sum(n, w, x) result(total)
     integer, intent(in) :: n
-    real(wp), intent(in) :: w(:), x(:)
+    real(wp), intent(in) :: w(n), x(n)
     real(wp) :: part(lanes)
     integer :: i, k
     part = 0.0_wp
-    do i = 0, n - 1, lanes
-      do k = 1, min(lanes, n - i)
+    do i = 0, n - lanes, lanes
+      do k = 1, lanes
         part(k) = part(k) + w(i + k)*x(i + k)
       end do
+    end do
+    do k = 1, modulo(n, lanes)
+      i = n - modulo(n, lanes)
+      part(k) = part(k) + w(i + k)*x(i + k)
     end do
     total = fold(part)
   end function weighted_sum
 
-  !> Sum of w (x y - p q).
-  pure real(wp) function weighted_moment(n, w, x, y, p, q) result(total)
+  !> Sum of w (x x + y y + z z).
+  pure real(wp) function weighted_square(n, w, x, y, z) result(total)
     integer, intent(in) :: n
-    real(wp), intent(in) :: w(:), x(:), y(:), p(:), q(:)
+    real(wp), intent(in) :: w(n), x(n), y(n), z(n)
     real(wp) :: part(lanes)
     integer :: i, k
     part = 0.0_wp
-    do i = 0, n - 1, lanes
-      do k = 1, min(lanes, n - i)
+    do i = 0, n - lanes, lanes
+      do k = 1, lanes
+        part(k) = part(k) + w(i + k)*(x(i + k)*x(i + k) + y(i + k)*y(i + k) + z(i + k)*z(i + k))
+      end do
+    end do
+    do k = 1, modulo(n, lanes)
+      i = n - modulo(n, lanes)
+      part(k) = part(k) + w(i + k)*(x(i + k)*x(i + k) + y(i + k)*y(i + k) + z(i + k)*z(i + k))
+    end do
+    total = fold(part)
+  end function weighted_square
+
+  !> Sum of w (x y - p q).
+  pure real(wp) function weighted_moment(n, w, x, y, p, q) result(total)
+    integer, intent(in) :: n
+    real(wp), intent(in) :: w(n), x(n), y(n), p(n), q(n)
+    real(wp) :: part(lanes)
+    integer :: i, k
+    part = 0.0_wp
+    do i = 0, n - lanes, lanes
+      do k = 1, lanes
         part(k) = part(k) + w(i + k)*(x(i + k)*y(i + k) - p(i + k)*q(i + k))
       end do
+    end do
+    do k = 1, modulo(n, lanes)
+      i = n - modulo(n, lanes)
+      part(k) = part(k) + w(i + k)*(x(i + k)*y(i + k) - p(i + k)*q(i + k))
     end do
     total = fold(part)
   end function weighted_moment

@@ -199,13 +199,9 @@ contains
     work%positions_lag = .false.
   end subroutine midpoint_positions
 
-  !> After impulses changed velocities by v - v_before, or positions: the velocity ahead
-  !> changes alike, and the next midpoint has to be drifted anew.
-  subroutine midpoint_disturbed(state, work, before)
-    type(state_t), intent(inout) :: state
+  !> After impulses or a projection: the next midpoint has to be drifted anew.
+  subroutine midpoint_disturbed(work)
     type(flow_work_t), intent(inout) :: work
-    real(wp), intent(in) :: before(:, :) !! (n_pad,3) velocities before the impulses [m/s]
-    state%velocity_ahead = state%velocity_ahead + (state%node_velocity - before)
     work%midpoint_ready = .false.
   end subroutine midpoint_disturbed
 

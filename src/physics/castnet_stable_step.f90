@@ -75,13 +75,18 @@ contains
     type(net_t), intent(in) :: net
     real(wp), intent(in) :: direction(:, :)  !! (3,n_cable)
     real(wp), intent(in) :: weight(:)        !! (n_cable)
-    real(wp), allocatable :: q(:, :), before(:, :), r(:, :), root(:)
+    real(wp), allocatable :: q(:, :), before(:, :), r(:, :), root(:), scaled(:, :), along(:, :)
     real(wp) :: alpha(most_iterations), beta(0:most_iterations), previous
     integer :: n, k, i, j
 
     n = net%n_node
-    allocate (q(n, 3), before(n, 3), r(n, 3), root(n))
+    allocate (q(n, 3), before(n, 3), r(n, 3), root(n), scaled(n, 3))
     root = sqrt(net%inverse_mass(:n))
+    ! sqrt(w) n by slot: the kernel's own order, which vectorises.
+    allocate (along(net%plan%n_slot, 3), source=0.0_wp)
+    do i = 1, net%n_cable
+      along(net%plan%slot_of_cable(i), :) = sqrt(weight(i))*direction(:, i)
+    end do
     ! A rough start has a part in every mode; it only has to be the same every time.
     do j = 1, 3
       do i = 1, n
@@ -91,7 +96,7 @@ contains
     end do
     where (spread(root, 2, 3) == 0.0_wp) q = 0.0_wp
     largest = 0.0_wp
-    beta(0) = sqrt(sum(q**2))
+    beta(0) = sqrt(inner(3*n, q, q))
     if (beta(0) == 0.0_wp) return
     q = q/beta(0)
     before = 0.0_wp
@@ -100,9 +105,9 @@ contains
     do k = 1, most_iterations
       call apply(q, r)
       r = r - beta(k - 1)*before
-      alpha(k) = sum(r*q)
+      alpha(k) = inner(3*n, r, q)
       r = r - alpha(k)*q
-      beta(k) = sqrt(sum(r**2))
+      beta(k) = sqrt(inner(3*n, r, r))
       if (modulo(k, look_interval) == 0 .or. beta(k) <= 1.0e-12_wp*abs(alpha(1)) .or. k == most_iterations) then
         largest = largest_tridiagonal(k, alpha, beta(1:))
         if (abs(largest - previous) <= settled*largest .or. beta(k) <= 1.0e-12_wp*abs(alpha(1))) exit
@@ -118,21 +123,78 @@ contains
     subroutine apply(x, y)
       real(wp), intent(in) :: x(:, :)
       real(wp), intent(out) :: y(:, :)
-      real(wp) :: s
-      integer :: e, a, b
-      y = 0.0_wp
-      do e = 1, net%n_cable
-        a = net%cable_nodes(1, e)
-        b = net%cable_nodes(2, e)
-        s = weight(e)*(direction(1, e)*(root(b)*x(b, 1) - root(a)*x(a, 1)) &
-                       + direction(2, e)*(root(b)*x(b, 2) - root(a)*x(a, 2)) &
-                       + direction(3, e)*(root(b)*x(b, 3) - root(a)*x(a, 3)))
-        y(a, :) = y(a, :) - (root(a)*s)*direction(:, e)
-        y(b, :) = y(b, :) + (root(b)*s)*direction(:, e)
+      integer :: c, d, i, a, b, m, slot
+      do c = 1, 3
+        do i = 1, n
+          scaled(i, c) = root(i)*x(i, c)
+          y(i, c) = 0.0_wp
+        end do
+      end do
+      associate (plan => net%plan)
+        do d = 1, plan%n_diagonal
+          m = plan%last(d) - plan%first(d) + 1
+          call add_cables(m, plan%first(d), plan%offset(d), n, plan%n_slot, plan%start(d), along, scaled, y)
+        end do
+        do i = 1, plan%n_loose
+          a = plan%loose_a(i)
+          b = plan%loose_b(i)
+          slot = plan%loose_start + i - 1
+          call add_cables(1, a, b - a, n, plan%n_slot, slot, along, scaled, y)
+        end do
+      end associate
+      do c = 1, 3
+        do i = 1, n
+          y(i, c) = root(i)*y(i, c)
+        end do
       end do
     end subroutine apply
 
   end function largest_eigenvalue
+
+  !> y += n (n . (x_a - x_b)) at a, and its opposite at b, for m cables (a, a + offset), ...
+  pure subroutine add_cables(m, first, offset, n, n_slot, start, along, x, y)
+    integer, intent(in) :: m, first, offset, n, n_slot, start
+    real(wp), intent(in) :: along(n_slot, 3), x(n, 3)
+    real(wp), intent(inout) :: y(n, 3)
+    integer, parameter :: block = 256
+    real(wp) :: s(block)
+    integer :: k, c, i, j, e, length
+    do i = first, first + m - 1, block
+      length = min(block, first + m - i)
+      j = i + offset
+      e = start + i - first
+      do k = 0, length - 1
+        s(k + 1) = along(e + k, 1)*(x(i + k, 1) - x(j + k, 1)) + along(e + k, 2)*(x(i + k, 2) - x(j + k, 2)) &
+                   + along(e + k, 3)*(x(i + k, 3) - x(j + k, 3))
+      end do
+      do c = 1, 3
+        do k = 0, length - 1
+          y(i + k, c) = y(i + k, c) + s(k + 1)*along(e + k, c)
+        end do
+        do k = 0, length - 1
+          y(j + k, c) = y(j + k, c) - s(k + 1)*along(e + k, c)
+        end do
+      end do
+    end do
+  end subroutine add_cables
+
+  !> Sum of x y in eight lanes.
+  pure real(wp) function inner(n, x, y)
+    integer, intent(in) :: n
+    real(wp), intent(in) :: x(n), y(n)
+    real(wp) :: part(8)
+    integer :: i, k
+    part = 0.0_wp
+    do i = 0, n - 8, 8
+      do k = 1, 8
+        part(k) = part(k) + x(i + k)*y(i + k)
+      end do
+    end do
+    do i = n - modulo(n, 8) + 1, n
+      part(1) = part(1) + x(i)*y(i)
+    end do
+    inner = ((part(1) + part(2)) + (part(3) + part(4))) + ((part(5) + part(6)) + (part(7) + part(8)))
+  end function inner
 
   !> Largest eigenvalue of a symmetric tridiagonal matrix by Sturm bisection.
   pure real(wp) function largest_tridiagonal(n, alpha, beta) result(value)

@@ -30,7 +30,6 @@ module castnet_stepper
     type(timings_t) :: timings
     logical :: has_potential = .false.             !! something outside does work
     logical :: has_field = .false.                 !! and it needs the nodes' positions
-    real(wp), allocatable :: velocity_before(:, :) !! (n_pad,3) before the impulses, method 'midpoint' with contact only [m/s]
   end type work_t
 
 contains
@@ -49,7 +48,6 @@ contains
     work%has_field = has_net_field(model)
     if (.not. allocated(model%contact)) return
     call new_contact_work(work%contact, model)
-    if (model%method == method_midpoint) allocate (work%velocity_before(model%net%n_pad, 3))
   end subroutine new_work
 
   !> Advance by one step.
@@ -97,10 +95,8 @@ contains
 
     if (state%time < state%skip_contact_until) return
     call settle(model, state, work)
-    if (model%method == method_midpoint) work%velocity_before = state%node_velocity
     call handle_contacts(model, state, work%contact, error)
-    if (model%method == method_midpoint .and. work%contact%acted) &
-      call midpoint_disturbed(state, work%flow, work%velocity_before)
+    if (work%contact%acted) call midpoint_disturbed(work%flow)
   end subroutine meet
 
   !> Bring the state to the end of the step for whoever looks at it.

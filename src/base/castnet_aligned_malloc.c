@@ -1,0 +1,19 @@
+/* Arrays at the start of a cache line.
+ *
+ * gfortran's allocate takes what malloc gives, and glibc gives 16 mod 64 to any large
+ * array: then every 512-bit load or store touches two cache lines, which costs the force
+ * kernel a third of its speed (docs/performance.md). The standard has no word for
+ * alignment, so malloc itself hands out whole lines from a kilobyte on; everything else,
+ * free and realloc too, is glibc's own. On other C libraries nothing is changed. */
+#include <stdlib.h>
+
+#ifdef __GLIBC__
+
+extern void *__libc_malloc(size_t size);
+extern void *__libc_memalign(size_t alignment, size_t size);
+
+void *malloc(size_t size) {
+  return size < 1024 ? __libc_malloc(size) : __libc_memalign(64, size);
+}
+
+#endif
