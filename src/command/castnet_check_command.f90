@@ -7,6 +7,7 @@ module castnet_check_command
   use castnet_posix, only: wall_seconds
   use castnet_run_command, only: output_path
   use castnet_scene, only: scene_t
+  use castnet_scene_check, only: net_node_count
   use castnet_scene_file, only: read_scene_text
   use castnet_scene_net, only: load_scene_net
   use castnet_scene_text, only: effective_scene
@@ -157,21 +158,22 @@ contains
   subroutine check_many(options, error)
     type(options_t), intent(in) :: options
     type(error_t), allocatable, intent(inout) :: error
-    integer :: i, refused
+    integer :: i, refused, code
     refused = 0
+    code = exit_input
     do i = 1, size(options%files)
-      call check_quickly(options%files(i)%chars, options, refused)
+      call check_quickly(options%files(i)%chars, options, refused, code)
     end do
-    if (refused > 0) call fail(error, exit_input, to_text(refused)//' of '//to_text(size(options%files))//' files refused')
+    if (refused > 0) call fail(error, code, to_text(refused)//' of '//to_text(size(options%files))//' files refused')
   end subroutine check_many
 
-  subroutine check_quickly(path, options, refused)
+  !> One of several files. Runs of small nets are set up, too.
+  subroutine check_quickly(path, options, refused, code)
     character(len=*), intent(in) :: path
     type(options_t), intent(in) :: options
-    integer, intent(inout) :: refused
+    integer, intent(inout) :: refused, code
     type(scene_t) :: scene
     type(study_request_t) :: request
-    type(file_net_t), allocatable :: file_net
     type(error_t), allocatable :: error
     character(len=:), allocatable :: warnings, text
     logical :: is_study
@@ -183,11 +185,12 @@ contains
         call read_study_text(text, path, options%overrides, request, warnings, error)
       else
         call read_scene_text(text, path, options%overrides, scene, warnings, error)
-        if (.not. allocated(error)) call load_scene_net(scene, file_net, error)
+        if (.not. allocated(error)) call set_up_small(scene, error)
       end if
     end if
     if (allocated(error)) then
       refused = refused + 1
+      if (error%code /= exit_input) code = error%code
       call say('=== '//path//': refused')
       call tell(error%message)
       return
@@ -200,6 +203,21 @@ contains
       call say(effective_scene(scene))
     end if
   end subroutine check_quickly
+
+  !> Build the run, unless its net is too large for a quick look.
+  subroutine set_up_small(scene, error)
+    type(scene_t), intent(in) :: scene
+    type(error_t), allocatable, intent(inout) :: error
+    type(simulation_t) :: sim
+    type(file_net_t), allocatable :: file_net
+    real(wp), parameter :: small_net = 2000.0_wp
+    call load_scene_net(scene, file_net, error)
+    if (allocated(error)) return
+    if (allocated(scene%net) .and. .not. allocated(file_net)) then
+      if (net_node_count(scene) > small_net) return
+    end if
+    call start(sim, scene, 1, file_net, error)
+  end subroutine set_up_small
 
   !> A figure to three digits.
   function three(value) result(text)

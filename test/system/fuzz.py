@@ -1,4 +1,4 @@
-"""Hostile input: mutated scenes, study files and net files through `castnet check`.
+"""Hostile input: mutated scenes, studies, net files and meshes through `castnet check`.
 
     python3 test/system/fuzz.py PATH_TO_CASTNET [--count N] [--seed S] [--keep FOLDER]
 
@@ -15,12 +15,14 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import warnings
 from pathlib import Path
 
 import h5py
 import numpy as np
 
 np.seterr(all="ignore")
+warnings.simplefilter("ignore")
 
 HERE = Path(__file__).resolve().parent
 BATCH = 250
@@ -244,9 +246,66 @@ def net_file(r, path):
                     f[f"{name}/{key}"] = value
         if faces is not None:
             f["face"] = faces + r.choice([0, 0, -1, n])
-    if r.random() < 0.1:                          # cut
+    spoil = r.random()
+    if spoil < 0.1:                               # cut
         data = path.read_bytes()
         path.write_bytes(data[: r.randrange(len(data))])
+    elif spoil < 0.2:                             # flipped bits
+        data = bytearray(path.read_bytes())
+        for _ in range(r.choice([1, 1, 3, 30])):
+            data[r.randrange(len(data))] ^= 1 << r.randrange(8)
+        path.write_bytes(bytes(data))
+
+
+def mesh_file(r, path):
+    """A box as STL (text or binary) or OBJ with something wrong with it, or not."""
+    corner = [(x, y, z) for x in (0, 0.1) for y in (0, 0.1) for z in (0, 0.3)]
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
+    corner = [list(p) for p in corner]
+    for _ in range(r.choice([0, 0, 1, 2])):
+        kind = r.randrange(8) if faces else 5
+        if kind == 0:
+            del faces[r.randrange(len(faces))]
+        elif kind == 1:
+            i = r.randrange(len(faces))
+            faces[i] = faces[i][::-1]
+        elif kind == 2:
+            faces.append(r.choice(faces))
+        elif kind == 3:
+            corner[r.randrange(8)][r.randrange(3)] = r.choice([float("nan"), float("inf"), 1e30, -1e300, 1e-300, 0, 0.05, -0.1])
+        elif kind == 4:
+            faces[r.randrange(len(faces))] = (0, 0, r.randrange(8))
+        elif kind == 5:
+            scale = r.choice([1e-9, 1e9, -1, 1e-30])
+            corner = [[scale * x for x in p] for p in corner]
+        elif kind == 6:
+            faces = r.choice([[], faces[:1], faces * 2])
+        else:
+            r.shuffle(faces)
+    style = r.choice(["text", "binary", "obj"])
+    if style == "text":
+        data = "solid box\n" + "".join("facet normal 0 0 0\n outer loop\n" + "".join("  vertex %r %r %r\n" % tuple(corner[i]) for i in f)
+                                       + " endloop\nendfacet\n" for f in faces) + "endsolid box\n"
+    elif style == "obj":
+        data = "# box\n" + "".join("v %r %r %r\n" % tuple(p) for p in corner) + "".join("f %d %d %d\n" % tuple(i + 1 for i in f) for f in faces)
+    else:
+        with np.errstate(all="ignore"):
+            data = bytes(80) + ((len(faces) + r.choice([0, 0, 0, 1, -1, 2**31])) % 2**32).to_bytes(4, "little") + b"".join(
+                np.array([[0, 0, 0], *(corner[i] for i in f)], dtype="<f4").tobytes() + b"\0\0" for f in faces)
+    if isinstance(data, str):
+        for _ in range(r.choice([0, 0, 1, 3])):
+            data = mutate(r, data, [data])
+        data = data.encode("utf-8", "replace")
+    elif r.random() < 0.3 and data:
+        data = bytearray(data)
+        for _ in range(r.choice([1, 3, 30])):
+            data[r.randrange(len(data))] = r.randrange(256)
+    if r.random() < 0.15:
+        data = data[: r.randrange(len(data) + 1)]
+    path = path.with_suffix(".obj" if style == "obj" or r.random() < 0.1 else ".stl")
+    path.write_bytes(bytes(data))
+    return path.name
 
 
 def override(r, keys):
@@ -372,6 +431,10 @@ def main():
                 names.append(f"f{i}.nml")
                 data = sources[i]
                 if data is None and r.random() < 0.1:
+                    mesh = mesh_file(r, FOLDER / f"f{i}")
+                    data = (f"&target shape = 'mesh' file = '{mesh}' mass = 3.5 position = 1.4 0 0 /\n" + NET + r.choice(["", "&contact threshold = 0.002 /\n"])
+                            + "&bullets mass = 0.03 speed = 1.8 /\n&time end_time = 0.01 /\n").encode()
+                elif data is None and r.random() < 0.1:
                     net_file(r, FOLDER / f"f{i}.h5")
                     data = f"&net kind = 'file' file = 'f{i}.h5' /\n&time end_time = 0.01 /\n".encode()
                 (FOLDER / names[-1]).write_bytes(scene_bytes(r, texts) if data is None else data)
@@ -395,7 +458,7 @@ def main():
                 print(f"FAIL  seed {options.seed} {n}: {why}", flush=True)
                 if options.keep:
                     options.keep.mkdir(exist_ok=True)
-                    for file in (n, n.replace(".nml", ".h5")):
+                    for file in (n.replace(".nml", e) for e in (".nml", ".h5", ".stl", ".obj")):
                         if (FOLDER / file).exists():
                             shutil.copy(FOLDER / file, options.keep / f"{options.seed}_{file}")
             for p in FOLDER.iterdir():
