@@ -241,6 +241,7 @@ contains
     call refuse(net//contact//time, 's.nml:2: contact: contact needs both a &net and a &target; there is no &target')
     call refuse(body//contact//time, 's.nml:2: contact: contact needs both a &net and a &target; there is no &net')
     call refuse('&net kind = ''file'' /'//nl//time, 's.nml:1: net/file: missing; required when kind = ''file''')
+    call refuse('&net kind = ''file'' file = '''' /'//nl//time, 's.nml:1: net/file: missing; required when kind = ''file''')
     call refuse('&net kind = ''file'' file = ''no_such_net.h5'' /'//nl//time, &
                 's.nml:1: net/file: seen ''no_such_net.h5''; there is no')
     call refuse(start//'shape = ''box'' dimensions = 1 1 /'//nl//time, &

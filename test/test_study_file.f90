@@ -72,6 +72,7 @@ contains
                 's.nml:1: study/scene: seen ''nowhere.nml''; nowhere.nml: there is no such file')
     call refuse(study//'&very key = ''a'' /', 's.nml:2: very: there is no group &very; did you mean vary?')
     call refuse(study//rate//'fro = 0 to = 1 count = 2 /', 's.nml:2: vary(1)/fro: there is no such key; did you mean from?')
+    call refuse(study//'&vary key = '''' values = 1 /', 's.nml:2: vary(1)/key: missing')
     call refuse(study//rate//'/', 's.nml:2: vary(1): no values; give values')
     call refuse(study//rate//'from = 0 to = 1 /', 's.nml:2: vary(1)/count: missing; required in a grid')
     call refuse(study//rate//'from = 0 count = 2 /', 's.nml:2: vary(1)/to: missing')

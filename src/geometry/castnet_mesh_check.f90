@@ -202,6 +202,10 @@ contains
     integer :: i, k, n
     logical :: is_cavity
     call number_shells(surface, shell, n)
+    if (n == 0) then           ! every triangle collapsed when its corners were joined
+      problem = 'the surface encloses no volume'
+      return
+    end if
     allocate (volume(n), lower(3, n), upper(3, n))
     total = 0.0_wp
     do i = 1, n

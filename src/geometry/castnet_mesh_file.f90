@@ -24,6 +24,8 @@ module castnet_mesh_file
     integer :: first = 1, last = 0
   end type lines_t
 
+  real(wp), parameter :: farthest = 1.0e6_wp   !! coordinate that is taken [m]; beyond it sizes overflow
+
 contains
 
   !> Read a mesh file; STL or OBJ is told by the ending, text or binary STL by the content.
@@ -121,6 +123,10 @@ contains
       if (.not. all(ieee_is_finite(corner))) then
         call fail(error, exit_input, path//', byte '//to_text(85_i8 + 50_i8*(i - 1))//': triangle '//to_text(i)// &
                   ' has a corner that is not a finite number')
+        return
+      else if (any(abs(corner) > farthest)) then
+        call fail(error, exit_input, path//', byte '//to_text(85_i8 + 50_i8*(i - 1))//': triangle '//to_text(i)// &
+                  ' has a corner beyond '//to_text(farthest)//' m')
         return
       end if
       surface%vertex(:, 3*i - 2:3*i) = reshape(real(corner, wp), [3, 3])
@@ -339,6 +345,7 @@ contains
       end if
       word = word_at_place(file, place)
       call parse_real(word, value(k), problem)
+      if (.not. allocated(problem) .and. abs(value(k)) > farthest) problem = 'is beyond '//to_text(farthest)//' m'
       if (.not. allocated(problem)) cycle
       call fail(error, exit_input, at(file)//quoted(word)//' '//problem)
       return

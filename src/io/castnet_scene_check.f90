@@ -8,6 +8,7 @@ module castnet_scene_check
   use castnet_scene, only: scene_t, is_set
   use castnet_scene_schema, only: scene_table, part_table
   use castnet_schema, only: schema_t
+  use castnet_schema_entry, only: entry_t
   use castnet_schema_fill, only: tell
   use castnet_text, only: to_text, byte_text, path_beside, name_of, without_extension, quoted
   use castnet_text_file, only: file_exists
@@ -83,7 +84,7 @@ contains
     integer :: i
     do i = 1, table%n
       associate (e => table%entries(i))
-        if (len_trim(e%need) > 0 .and. .not. e%given .and. .not. e%has_value()) then
+        if (len_trim(e%need) > 0 .and. .not. e%failed .and. .not. e%has_value() .and. .not. is_begun(e)) then
           if (is_missing_group(table, trim(e%group))) then
             call tell(problems, path, table, last_line, trim(e%group), '', 'the group &'//trim(e%group)// &
                       ' is missing; required, with '//trim(e%key))
@@ -106,6 +107,13 @@ contains
       end associate
     end do
   end subroutine check_needs
+
+  !> An array with some components.
+  logical function is_begun(e)
+    type(entry_t), intent(in) :: e
+    is_begun = .false.
+    if (associated(e%real_1)) is_begun = any(is_set(e%real_1))
+  end function is_begun
 
   !> A required group that the file does not have.
   logical function is_missing_group(table, name)

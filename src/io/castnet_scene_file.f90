@@ -340,6 +340,7 @@ contains
       item%subscript = reference%subscript
       call e%set(item, problem)
       e%given = .true.
+      e%failed = allocated(problem)
       e%line = 0
       e%path = '--set'
     end associate

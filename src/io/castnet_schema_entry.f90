@@ -43,6 +43,7 @@ module castnet_schema_entry
     character(len=word_length), allocatable :: word_list(:)
     ! where the value was given, while a file is read
     logical :: given = .false.
+    logical :: failed = .false.              !! what was given could not be taken, and that has been told
     integer :: level = 0                     !! number of the file in the chain of includes
     integer :: line = 0
     character(len=:), allocatable :: path

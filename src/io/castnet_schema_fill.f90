@@ -83,8 +83,10 @@ contains
     entry%line = item%line
     entry%path = path
     if (item%subscript > 0 .and. item%subscript <= most_components) entry%part_given(item%subscript) = .true.
-    if (any(item%values(:item%n)%broken)) return     ! told by the parser
+    entry%failed = any(item%values(:item%n)%broken)  ! told by the parser
+    if (entry%failed) return
     call entry%set(item, problem)
+    entry%failed = allocated(problem)
     if (allocated(problem)) call problems%add(path, item%line, about//'/'//item%key, problem)
   end subroutine fill_entry
 

@@ -72,7 +72,7 @@ contains
       integer :: k
       do k = 1, table%n
         associate (e => table%entries(k))
-          if (e%need == need .and. .not. e%given .and. .not. e%has_value()) &
+          if (e%need == need .and. .not. e%failed .and. .not. e%has_value()) &
             call tell(problems, request%path, table, place%last_line, trim(e%group), trim(e%key), &
                       'missing; required: '//trim(e%help)//', '//e%allowed())
         end associate

@@ -168,6 +168,7 @@ contains
       item%subscript = reference%subscript
       call table%entries(i)%set(item, problem)
       table%entries(i)%given = .true.
+      table%entries(i)%failed = allocated(problem)
       table%entries(i)%path = '--set'
       table%entries(i)%line = 0
     end subroutine set

@@ -204,7 +204,7 @@ def net_file(r, path):
             group[key + r.choice(["s", "_", "x"])] = value
         elif kind == 1:
             del group[key]
-        elif kind == 2:
+        elif kind == 2 and value.dtype.kind in "fiub":
             group[key] = value.astype(r.choice([np.float32, np.int32, np.int8, np.uint64, np.complex128]))
         elif kind == 3:
             group[key] = value.reshape(-1)
@@ -420,9 +420,12 @@ def main():
         net_file(random.Random(0), FOLDER / "net.h5")
         for scene in (HERE.parents[1] / "input").glob("*.nml"):
             shutil.copy(scene, FOLDER)
+        kept = sorted((HERE / "fuzz_inputs").glob("*.nml"))
+        for file in (HERE / "fuzz_inputs").glob("*"):
+            if file.suffix != ".nml":
+                shutil.copy(file, FOLDER)
         furniture = {p.name for p in FOLDER.iterdir()}
         texts = corpus(options.castnet)
-        kept = sorted((HERE / "fuzz_inputs").glob("*")) if (HERE / "fuzz_inputs").exists() else []
         sources = [p.read_bytes() for p in kept] + [None] * options.count
         for start in range(0, len(sources), BATCH):
             names = []
