@@ -5,7 +5,8 @@ module castnet_hdf5_reader
   use hdf5, only: hid_t, hsize_t, h5dopen_f, h5dclose_f, h5dget_space_f, h5dget_type_f, h5dread_f, h5sclose_f, &
                   h5tget_class_f, h5tclose_f, h5sget_simple_extent_ndims_f, h5sget_simple_extent_dims_f, &
                   h5sget_simple_extent_type_f, h5lexists_f, h5oget_info_by_name_f, h5o_info_t, h5o_type_dataset_f, &
-                  h5gn_members_f, h5tis_variable_str_f, h5dvlen_reclaim_f, h5p_default_f, h5gget_obj_info_idx_f, h5t_enum_f, &
+                  h5gn_members_f, h5lget_name_by_idx_f, h5_index_name_f, h5_iter_inc_f, h5tis_variable_str_f, &
+                  h5dvlen_reclaim_f, h5p_default_f, h5t_enum_f, &
                   h5t_integer_f, h5t_float_f, h5s_scalar_f, h5s_simple_f
   use castnet_kinds, only: wp, i8
   use castnet_error, only: error_t, fail, exit_file
@@ -93,19 +94,20 @@ contains
     if (is_dataset) is_dataset = info%type == h5o_type_dataset_f
   end function is_dataset
 
-  !> Names of what a group holds, separated by blanks; '' when there is no such group. Names
-  !> with blanks in them come with '_' instead.
+  !> Names of what a group holds, dead links too, separated by blanks; '' when there is no
+  !> such group. Names with blanks in them come with '_' instead.
   function list_members(file, path) result(names)
     type(hdf5_file_t), intent(in) :: file
     character(len=*), intent(in) :: path
     character(len=:), allocatable :: names
     character(len=256) :: name
-    integer :: n, i, k, kind, status
+    integer :: n, i, k, status
     names = ''
     call h5gn_members_f(file%root%id, path, n, status)
     if (status < 0) return
     do i = 0, min(n, 1000) - 1
-      call h5gget_obj_info_idx_f(file%root%id, path, i, name, kind, status)
+      name = ''
+      call h5lget_name_by_idx_f(file%root%id, path, h5_index_name_f, h5_iter_inc_f, int(i, hsize_t), name, status)
       if (status < 0) cycle
       do k = 1, len_trim(name)
         if (name(k:k) <= ' ') name(k:k) = '_'

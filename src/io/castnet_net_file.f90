@@ -7,7 +7,7 @@
 !> Shapes as Python shows them. The file is a stranger's: every name, type, shape and value
 !> is checked, and the memory that the net will need is known before any is taken. All
 !> problems are reported together. A net of one node and no cable is a net; without the
-!> group /cable there are no cables.
+!> group /cable there are no cables. No force moves a fixed node: it keeps its velocity.
 module castnet_net_file
   use, intrinsic :: ieee_arithmetic, only: ieee_is_finite
   use castnet_kinds, only: wp, i8
@@ -129,8 +129,7 @@ contains
     call check_one(r, '/node/position', class_real, 3, r%n_node, 'n')
     call check_one(r, '/node/velocity', class_real, 3, r%n_node, 'n')
     call check_one(r, '/node/mass', class_real, 0, r%n_node, 'n')
-    found = ask_dataset(r%file, '/node/fixed')
-    r%has_fixed = found%class /= class_none
+    r%has_fixed = is_one_of('fixed', list_members(r%file, '/node'))
     if (r%has_fixed) call check_one(r, '/node/fixed', class_integer, 0, r%n_node, 'n')
     some = len(list_members(r%file, '/cable')) > 0
     if (some) then

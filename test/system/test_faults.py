@@ -4,7 +4,7 @@
     test_faults.py PATH_TO_CASTNET [KILLS]
 
 A run that was interrupted in any way and restarted must end in the bits of the run that
-was not. KILLS (default 102) SIGKILLs fall at random moments over three scenes; the seed
+was not. KILLS (default 30) SIGKILLs fall at random moments over three scenes; the seed
 is printed. Tests that need a mount say so and are left out where mounting is forbidden.
 """
 import hashlib
@@ -27,13 +27,14 @@ import xarray as xr
 ROOT = Path(__file__).resolve().parents[2]
 INPUT = ROOT / "input"
 CASTNET = str(Path(sys.argv[1]).resolve())
-KILLS = int(sys.argv[2]) if len(sys.argv) > 2 else 102
+KILLS = int(sys.argv[2]) if len(sys.argv) > 2 else 30
 results: list[bool] = []
 
 CUBESAT = (INPUT / "cubesat.nml", ["output/checkpoint_interval=0.1"])
 DEPLOYMENT = (INPUT / "deployment_cubesat.nml", ["output/checkpoint_interval=0.05"])
 MIDPOINT = (DEPLOYMENT[0], [*DEPLOYMENT[1], "time/method='midpoint'"])
-CLOSING = (INPUT / "rocket_closing_x_1.1.nml", ["output/checkpoint_interval=0.5", "output/frame_interval=0.05"])
+CLOSING = (INPUT / "rocket_closing_x_1.1.nml", ["output/checkpoint_interval=0.5", "output/frame_interval=0.05",
+                                                  "time/end_time=7.5", "output/verdict_times=7.5"])
 
 VTK_READER = r"""
 import json, sys
