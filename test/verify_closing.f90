@@ -41,6 +41,7 @@ contains
     call test_case('closing: triggers by contact, time and passing the target, and the delay', triggers)
     call test_case('closing: the guard knows the thread''s limit', guard)
     call test_case('closing: under the limit energy less winch work never rises', energy_by_step)
+    call test_case('closing: a run that goes on from a copy of its state is the same to the bit', resumed)
     call test_case('closing: a scene without it has no latches, no scratch, no work', absent)
   end subroutine run_verify_closing
 
@@ -627,6 +628,34 @@ contains
     call expect(rise < 1.0e-9_wp*scale, 'the energy never rises')
     call expect(state%ledger%winch_work > 0.1_wp, 'while the winches work')
   end subroutine energy_by_step
+
+  !> Latches, ratchet and velocities are all in the state; scratch remembers nothing.
+  subroutine resumed()
+    character(len=8), parameter :: method(2) = ['rk4     ', 'midpoint']
+    type(scene_t) :: scene
+    type(model_t) :: model
+    type(state_t) :: whole, half
+    type(work_t) :: work, fresh
+    integer :: m
+    do m = 1, 2
+      scene = small_scene(0.1_wp)
+      scene%net%stowed_scale = 0.5_wp
+      scene%closing%delay = 0.05_wp
+      scene%time%step = 1.0e-4_wp
+      scene%time%method = method(m)
+      call build(scene, model, whole, work)
+      call run_steps(900, model, whole, work)
+      half = whole
+      call new_work(fresh, model, 1)
+      call run_steps(900, model, whole, work)
+      call run_steps(900, model, half, fresh)
+      call expect(whole%closing%pulling .and. whole%ledger%winch_work > 0.0_wp, 'the winches work')
+      call expect(all(whole%node_position == half%node_position), 'positions')
+      call expect(all(whole%node_velocity == half%node_velocity), 'velocities')
+      call expect(all(whole%closing%rest_length == half%closing%rest_length), 'ratchet')
+      call expect(whole%ledger%winch_work == half%ledger%winch_work, 'winch work')
+    end do
+  end subroutine resumed
 
   subroutine absent()
     type(scene_t) :: scene

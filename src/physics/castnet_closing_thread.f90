@@ -20,8 +20,9 @@
 !>   falls from both ends towards the middle: T(j) = T e^(-mu min(A(j), A_all - A(j))), A(j)
 !>   the angles up to segment j. That is the loss of a thread that is wound in; one that is
 !>   dragged out of held winches would be helped by its rings, which is left out.
-!> - The work done on the nodes is the ledger's `winch_work`. What the thread stores itself
-!>   counts with the winch: energy of net and target less this work never rises.
+!> - The work done on the nodes is the ledger's `winch_work`. What the thread itself stores,
+!>   damps away or rubs off at its rings counts with the winch, so this work can fall again;
+!>   energy of net and target less it never rises.
 module castnet_closing_thread
   use castnet_kinds, only: wp
   use castnet_constants, only: tiny_length
