@@ -247,8 +247,8 @@ def cubesat_rows(e) -> list[Row]:
                  "the threshold is not sharp: what counts is the attitude when the net arrives"),
         caught_row(e, "cubesat_1.5_equality", "1.5 rad/s with the paper's own contact", "yes (Fig. 9)", "impulses by equality: a contact may pull, and nothing corrects positions"),
         lost_row(e, "cubesat_2_equality", "2 rad/s with the paper's own contact", "no (Fig. 9)"),
-        caught_row(e, "cubesat_1.5_cables", "1.5 rad/s with the cables in contact", "left for the future"),
-        lost_row(e, "cubesat_2_cables", "2 rad/s with the cables in contact", "left for the future"),
+        caught_row(e, "cubesat_1.5_cables", "1.5 rad/s with the cables in contact", "the outcome as without; cables were left for the future"),
+        lost_row(e, "cubesat_2_cables", "2 rad/s with the cables in contact", "the outcome as without; cables were left for the future"),
         caught_row(e, "cubesat_B_0", "case B, 0 rad/s", "not shown; expected caught"),
         lost_row(e, "cubesat_A_1", "case A, 1 rad/s", "not shown; expected not caught"),
     ]
@@ -279,7 +279,7 @@ def cubesat_rows(e) -> list[Row]:
 def rocket_rows(e) -> list[Row]:
     rows = [caught_row(e, f"rocket_x_{r}", f"end over end, {r} rad/s: caught", "yes, the paper's x axis (Fig. 14)", "our case B") for r in ("0.1", "0.4")]
     rows += [lost_row(e, "rocket_x_0.7", "end over end, 0.7 rad/s: slips out", "yes (Fig. 14)", "our case B"),
-             lost_row(e, "rocket_x_0.7_cables", "the same with the cables in contact", "left for the future"),
+             lost_row(e, "rocket_x_0.7_cables", "the same with the cables in contact", "the outcome as without; cables were left for the future"),
              lost_row(e, "rocket_x_1.1", "end over end, 1.1 rad/s, no closing: lost", "implied")]
     rows += [caught_row(e, f"rocket_z_{r}", f"like a propeller, {r} rad/s: caught", "yes, the paper's z axis (Fig. 13)", "our case A") for r in ("0.1", "0.4")]
     rows.append(lost_row(e, "rocket_z_0.7", "like a propeller, 0.7 rad/s: the arms do not cross", "yes (Fig. 13)",
