@@ -1,5 +1,6 @@
 !> Benchmarks, driven by tools/bench. One line of results each; arguments:
 !>   kernel SQUARES METHOD [THREADS] [shuffled]   nanoseconds per node and step, no contact
+!>   steps SQUARES METHOD N                       so many steps and no timing, for instruction counts
 !>   capture SCENE [group/key=value ...]          a whole run without files, stage by stage
 !>   memory SQUARES                               a few steps of a large net, bytes per node
 !>   contact                                      microseconds per contact event
@@ -28,6 +29,8 @@ program bench
   select case (mode)
   case ('kernel')
     call time_kernel()
+  case ('steps')
+    call take_steps()
   case ('capture')
     call time_capture()
   case ('memory')
@@ -35,7 +38,8 @@ program bench
   case ('contact')
     call time_contacts()
   case default
-    print '(a)', 'bench kernel SQUARES METHOD [THREADS] [shuffled] | capture SCENE [group/key=value ...] | memory SQUARES | contact'
+    print '(a)', 'bench kernel SQUARES METHOD [THREADS] [shuffled] | steps SQUARES METHOD N | '// &
+      'capture SCENE [group/key=value ...] | memory SQUARES | contact'
   end select
 
 contains
@@ -108,6 +112,25 @@ contains
     print '(a,1x,i0,1x,a,1x,f0.3,1x,es23.15)', 'kernel', model%net%n_node, trim(method), best, &
       sum(state%node_position(:model%net%n_node, 1))
   end subroutine time_kernel
+
+  subroutine take_steps()
+    type(scene_t) :: scene
+    type(model_t) :: model
+    type(state_t) :: state
+    type(work_t) :: work
+    type(step_report_t) :: report
+    type(file_net_t), allocatable :: net
+    type(error_t), allocatable :: error
+    character(len=32) :: method
+    integer :: i
+    call get_command_argument(3, method)
+    call large_shot(whole(2, 20), method, scene)
+    call set_up(scene, 1, net, model, state, work, report, error)
+    call stop_on(error)
+    do i = 1, whole(4, 100)
+      call advance(model, state, work, error)
+    end do
+  end subroutine take_steps
 
   !> The same net as it would come from a file, nodes and cables in random order.
   subroutine shuffle(scene, file)

@@ -15,6 +15,7 @@ program main
   use test_net_file, only: run_test_net_file
   use test_output_files, only: run_test_output_files
   use test_perturb, only: run_test_perturb
+  use test_renumber, only: run_test_renumber
   use test_rng, only: run_test_rng
   use test_rotation, only: run_test_rotation
   use test_run_writer, only: run_test_run_writer
@@ -53,6 +54,7 @@ program main
   call run_test_net_file()
   call run_test_output_files()
   call run_test_perturb()
+  call run_test_renumber()
   call run_test_rng()
   call run_test_rotation()
   call run_test_run_writer()

@@ -1,6 +1,7 @@
 !> The commands: each a short procedure. What they print on standard output is a result,
 !> the rest goes to standard error; the exit code says how it ended.
 module castnet_commands
+  use castnet_accuracy_command, only: accuracy_file
   use castnet_check_command, only: check_files
   use castnet_command_line, only: options_t, parse_command_line, process_arguments, help_text
   use castnet_error, only: error_t, fail, exit_done, exit_bug, exit_input
@@ -60,7 +61,7 @@ contains
     case ('collect')
       call collect_file(options, error)
     case ('accuracy')
-      call fail(error, exit_input, 'castnet '//options%command//' is not available yet')
+      call accuracy_file(options, error)
     case default
       call fail(error, exit_bug, 'the command '//options%command//' is known but not built in')
     end select

@@ -6,6 +6,7 @@ module castnet_model_builder
                            method_rk4, method_midpoint, method_adaptive, trigger_contact, trigger_time, trigger_passed_target
   use castnet_net, only: net_t
   use castnet_net_builder, only: square_net_nodes, build_square_net, finish_net
+  use castnet_renumber, only: renumber_net
   use castnet_perturb, only: perturbation_t, draw_perturbation, apply_perturbation
   use castnet_rotation, only: normalise_quaternion
   use castnet_scene, only: scene_t, target_group_t, part_group_t, closing_group_t, is_set
@@ -57,6 +58,7 @@ contains
       model%net%clamp_tension = scene%net%clamp_tension
       position = transpose(file_net%position)
       velocity = transpose(file_net%velocity)
+      call renumber_net(model%net, position, velocity)
       call finish_net(model%net)
     else if (allocated(scene%net)) then
       allocate (model%net)

@@ -24,6 +24,7 @@ module castnet_net
     integer, allocatable :: perimeter_nodes(:)       !! closed loop of the net's edge, counted from 1, without the bullets
     integer, allocatable :: corner_nodes(:)          !! (4) or empty: the net corner that each bullet hangs on
     integer, allocatable :: faces(:, :)              !! (4,n_face) mesh squares, counted from 1, for coverage
+    integer, allocatable :: original_node(:)         !! (n_node) number that each node came with; unallocated: its own
     real(wp) :: side_length = 0.0_wp                 !! squares x mesh length of the longer side [m], 0 for a net from a file
     real(wp) :: flat_area = 0.0_wp                   !! of the net spread out [m2], 0 for a net from a file
     type(cable_plan_t) :: plan                       !! the cables as the force kernel wants them

@@ -64,11 +64,13 @@ contains
     type(perturbation_t), intent(in) :: drawn
     type(model_t), intent(in) :: model
     type(state_t), intent(inout) :: state
-    integer :: i
+    integer :: i, k
     if (allocated(model%net)) then
       do i = 1, model%net%n_node
         if (model%net%fixed(i)) cycle
-        state%node_position(i, :) = state%node_position(i, :) + drawn%node_position(i, :)
+        k = i
+        if (allocated(model%net%original_node)) k = model%net%original_node(i)
+        state%node_position(i, :) = state%node_position(i, :) + drawn%node_position(k, :)
       end do
     end if
     if (.not. allocated(model%target)) return

@@ -242,6 +242,7 @@ contains
     integer :: node
     if (allocated(model%net)) then
       node = first_bad_node(model%net%n_node, state%node_position, state%node_velocity)
+      if (node > 0 .and. allocated(model%net%original_node)) node = model%net%original_node(node)
       if (node > 0) call fail(error, exit_numerical, moment(state)//': the motion of net node '//number(int(node - 1, i8))// &
         ' (counted from 0) is no finite number any more; try a smaller time/step or a larger net/damping_ratio')
     end if

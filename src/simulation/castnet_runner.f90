@@ -4,12 +4,14 @@ module castnet_runner
   use castnet_checkpoint, only: write_checkpoint, read_checkpoint, checkpoint_path
   use castnet_diagnostics, only: cable_tensions
   use castnet_error, only: error_t, fail, exit_stopped, exit_done, exit_file
+  use castnet_model, only: model_t
   use castnet_model_builder, only: file_net_t
   use castnet_lock, only: lock_t, take_lock, release_lock
   use castnet_log, only: log_t, log_note, log_warning, log_progress, end_progress
   use castnet_output_files, only: check_output, can_continue, stage_part, clear_leftovers
   use castnet_posix, only: wall_seconds
   use castnet_record, only: summary_t, history_row_t
+  use castnet_renumber, only: in_original_order
   use castnet_restart_check, only: check_same_scene
   use castnet_run_writer, only: run_writer_t, run_info_t, open_run, reopen_run, write_frame, write_history, flush_run, &
                                 close_run, status_complete, status_stopped, status_failed
@@ -190,11 +192,11 @@ contains
     if (allocated(options%restart)) then
       if (can_continue(options%output)) then
         call stage_part(options%output, error)
-        call reopen_run(writer, options%output, effective_text, sim%model, surface, info, error)
+        call reopen_run(writer, options%output, effective_text, shown_model(sim%model), surface, info, error)
         return
       end if
     end if
-    call open_run(writer, options%output, scene%text, effective_text, sim%model, surface, info, error)
+    call open_run(writer, options%output, scene%text, effective_text, shown_model(sim%model), surface, info, error)
     if (.not. allocated(error) .and. .not. allocated(options%restart)) call clear_leftovers(options%output)
   end subroutine open_writer
 
@@ -221,9 +223,38 @@ contains
     else
       allocate (tension(0))
     end if
-    call write_frame(writer, sim%model, sim%state, tension, error)
+    if (is_renumbered(sim%model)) then
+      call write_frame(writer, sim%model, shown_state(sim), tension, error)
+    else
+      call write_frame(writer, sim%model, sim%state, tension, error)
+    end if
     call frame_taken(sim)
   end subroutine observe
+
+  !> Were the nodes of a net from a file renumbered for the kernel? Whatever is written
+  !> carries the numbers of the file.
+  pure logical function is_renumbered(model)
+    type(model_t), intent(in) :: model
+    is_renumbered = .false.
+    if (allocated(model%net)) is_renumbered = allocated(model%net%original_node)
+  end function is_renumbered
+
+  function shown_model(model) result(shown)
+    type(model_t), intent(in) :: model
+    type(model_t) :: shown
+    shown = model
+    if (is_renumbered(model)) shown%net = in_original_order(model%net)
+  end function shown_model
+
+  function shown_state(sim) result(shown)
+    type(simulation_t), intent(in) :: sim
+    type(state_t) :: shown
+    shown = sim%state
+    associate (order => sim%model%net%original_node)
+      shown%node_position(order, :) = sim%state%node_position(:size(order), :)
+      shown%node_velocity(order, :) = sim%state%node_velocity(:size(order), :)
+    end associate
+  end function shown_state
 
   subroutine enter(ledger, row)
     type(run_ledger_t), intent(inout) :: ledger

@@ -226,7 +226,7 @@ contains
     type(error_t), allocatable, intent(inout) :: error
     real(wp) :: energy, given
     real(wp), allocatable :: speed(:)
-    integer :: node
+    integer :: node, shown
 
     call check_finite(sim%model, sim%state, error)
     if (allocated(error) .or. .not. allocated(sim%model%net)) return
@@ -239,9 +239,11 @@ contains
     associate (v => sim%state%node_velocity, n => sim%model%net%n_node)
       speed = v(:n, 1)**2 + v(:n, 2)**2 + v(:n, 3)**2
       node = maxloc(speed, dim=1)
+      shown = node
+      if (allocated(sim%model%net%original_node)) shown = sim%model%net%original_node(node)
       call fail(error, exit_numerical, 'step '//to_text(sim%state%step)//', t = '//to_text(sim%state%time)// &
                 ' s: the energy has grown to '//to_text(energy)//' J where at most '//to_text(given)// &
-                ' J were put in; the fastest node is '//to_text(node - 1)//' (counted from 0) at '// &
+                ' J were put in; the fastest node is '//to_text(shown - 1)//' (counted from 0) at '// &
                 to_text(sqrt(speed(node)))//' m/s; try a smaller time/step than '//to_text(sim%model%step)//' s')
     end associate
   end subroutine guard
