@@ -183,6 +183,19 @@ def good(folder):
     done = run(folder, "check", f"{spaced}/my scene.nml", "--effective")
     expect("include, path with spaces and UTF-8", done.returncode == 0 and b"end_time = 0.01" in done.stdout, done.stderr.decode())
 
+    # included keys give way to own ones, by key and by component; paths are seen from the included file
+    (folder / "sub").mkdir()
+    (folder / "sub" / "base.nml").write_text(
+        "&target shape = 'compound' mass = 2 position = 1 2 3 /\n&part shape = 'sphere' dimensions = 1 /\n"
+        "&part shape = 'sphere' dimensions = 2 position = 1 0 0 /\n&output file = 'r.h5' /\n" + TIME)
+    (folder / "own.nml").write_text("&include file = 'sub/base.nml' /\n&target position(2) = 5 /\n&part shape = 'box' dimensions = 3*1 /\n")
+    done = run(folder, "check", "own.nml", "--effective")
+    text = done.stdout.decode()
+    expect("include", done.returncode == 0 and "position = 1, 5, 3" in text and text.count("&part") == 1 and "shape = 'box'" in text
+           and "mass = 2" in text and "file = 'sub/r.h5'" in text, text + done.stderr.decode())
+    (folder / "sub" / "base.nml").write_text("&time end_time = -1 /")
+    refuse("a problem in an included file", folder, ["check", "own.nml"], ["sub/base.nml:1: time/end_time: seen -1"])
+
     # the effective scene reads back to itself
     first = run(folder, "check", "scene.nml", "--effective").stdout
     (folder / "effective.nml").write_bytes(first)
