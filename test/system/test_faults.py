@@ -73,7 +73,9 @@ def run(scene, output: Path, *more: str) -> subprocess.CompletedProcess:
 
 
 def start(scene, output: Path, *more: str) -> subprocess.Popen:
-    return subprocess.Popen(command(scene, output, *more), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    """With Ctrl-C as at a prompt: what a shell starts behind the scenes would ignore it."""
+    return subprocess.Popen(command(scene, output, *more), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+                            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
 
 
 def beside(output: Path, ending: str) -> Path:
