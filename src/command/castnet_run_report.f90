@@ -120,6 +120,8 @@ contains
     else if (abs(value) >= 1.0e-3_wp .and. abs(value) < 1.0e5_wp) then
       write (buffer, '(f0.4)') value
       text = trim(adjustl(buffer))
+      if (text(1:1) == '.') text = '0'//text
+      if (text(1:2) == '-.') text = '-0'//text(2:)
     else
       write (buffer, '(es11.3)') value
       text = trim(adjustl(buffer))

@@ -2,6 +2,7 @@
 !> and their matrices. v_inertial = r v_body = q v_body q*. Products are written out.
 module castnet_rotation
   use castnet_kinds, only: wp
+  use castnet_trigonometry, only: sine_cosine
   implicit none
   private
   public :: rotation_matrix, rotate, rotate_back, multiply, multiply_transposed
@@ -127,7 +128,7 @@ contains
   pure function quaternion_from_rotation_vector(v) result(q)
     real(wp), intent(in) :: v(3)
     real(wp) :: q(4)
-    real(wp) :: angle_squared, half_angle, sine_ratio
+    real(wp) :: angle_squared, half_angle, sine, sine_ratio
     angle_squared = v(1)*v(1) + v(2)*v(2) + v(3)*v(3)
     if (angle_squared < 1.0e-4_wp) then
       ! Taylor series of cos(a/2) and sin(a/2)/a: the next terms are below 1e-22.
@@ -137,8 +138,8 @@ contains
                    (1.0_wp - angle_squared/168.0_wp)))
     else
       half_angle = 0.5_wp*sqrt(angle_squared)
-      q(1) = cos(half_angle)
-      sine_ratio = 0.5_wp*sin(half_angle)/half_angle
+      call sine_cosine(half_angle, sine, q(1))
+      sine_ratio = 0.5_wp*sine/half_angle
     end if
     q(2:4) = sine_ratio*v
   end function quaternion_from_rotation_vector

@@ -6,6 +6,7 @@ module castnet_net_builder
   use castnet_net, only: net_t
   use castnet_perturb, only: perturbation_t
   use castnet_scene, only: net_group_t, bullets_group_t
+  use castnet_trigonometry, only: sine_cosine
   implicit none
   private
   public :: square_net_nodes, build_square_net, finish_net, pair_damping
@@ -35,7 +36,7 @@ contains
     real(wp), allocatable, intent(out) :: position(:, :) !! (n_node,3) [m]
     real(wp), allocatable, intent(out) :: velocity(:, :) !! (n_node,3) [m/s]
     integer :: ny, nz, sides, n_grid, n_inner, n_bullet, iy, iz, j, c, k, a, b, perimeter_count
-    real(wp) :: length, area, edge_area, outward(3), angle, speed, scale
+    real(wp) :: length, area, edge_area, outward(3), angle, sine, cosine, speed, scale
     logical :: at_edge
     real(wp), allocatable :: linear_density(:), half_mass(:, :)
 
@@ -110,8 +111,9 @@ contains
       position(b, :) = position(a, :) + scale*bullets%corner_cable_length*outward
       speed = bullets%speed + drawn%bullet_speed(k)
       angle = bullets%angle*degree + drawn%bullet_angle(k)
-      velocity(b, :) = speed*sin(angle)*outward
-      velocity(b, 1) = speed*cos(angle)
+      call sine_cosine(angle, sine, cosine)
+      velocity(b, :) = speed*sine*outward
+      velocity(b, 1) = speed*cosine
       c = c + 1
       net%cable_nodes(:, c) = [a, b]
       net%natural_length(c) = bullets%corner_cable_length
