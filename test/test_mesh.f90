@@ -38,10 +38,11 @@ contains
     call test_case('mesh: an inside-out surface is turned, a cavity kept', orientation)
     call test_case('mesh: what no solid is made of is refused with its place', refused_surfaces)
     call test_case('mesh: malformed files are refused with line or byte', refused_files)
+    call test_case('mesh: damaged files are refused or read, and crash nothing', damaged_files)
     call test_case('mesh: moved to its centroid it keeps its moments', moved)
     call test_case('mesh: a free target turns about its solid''s centroid', targets)
     call remove(['ring.stl       ', 'ring_binary.STL', 'ring.obj       ', 'off.obj        ', 'cube.obj       ', 'bad.obj        ', &
-                 'bad.ply        ', 'bad.stl        '])
+                 'bad.ply        ', 'bad.stl        ', 'bad.STL        '])
   end subroutine run_test_mesh
 
   subroutine remove(names)
@@ -638,9 +639,9 @@ contains
     call refuse_path(folder//'bad.ply', 'ends in .stl or .obj')
     call write_lines(folder//'bad.stl', ['solid x              ', 'facet normal 0 0 1   ', 'outer loop           ', &
                                          'vertex 0 0 0         ', 'vertex 1 0 0         ', 'endloop              '])
-    call refuse_path(folder//'bad.stl', 'bad.stl:6: "endloop" seen, "vertex" expected')
+    call refuse_path(folder//'bad.stl', 'bad.stl:6: ''endloop'' seen, ''vertex'' expected')
     call write_lines(folder//'bad.stl', ['solid x              ', 'facet normal 0 0 1   ', 'outer loop           '])
-    call refuse_path(folder//'bad.stl', 'the file ends where "vertex"')
+    call refuse_path(folder//'bad.stl', 'the file ends where ''vertex''')
     call write_lines(folder//'bad.stl', ['solid x ', 'endsolid'])
     call refuse_path(folder//'bad.stl', '0 triangles')
     call write_lines(folder//'bad.stl', ['hello'])
@@ -659,6 +660,60 @@ contains
     close (unit)
     call refuse_path(folder//'bad.stl', 'byte 135: triangle 2')
   end subroutine refused_files
+
+  !> Good files with a few bytes changed, cut, dropped or doubled.
+  subroutine damaged_files()
+    integer, parameter :: n = 150
+    character(len=4), parameter :: ending(3) = ['.stl', '.STL', '.obj']
+    type(surface_t) :: surface
+    type(shape_t) :: shape
+    type(error_t), allocatable :: error
+    character(len=:), allocatable :: good, text
+    integer(i8) :: seed
+    integer :: unit, bytes, i, j, k, a, b, refused
+    surface = ring(0.3_wp, 0.1_wp, 5, 4)
+    seed = 1234
+    do k = 1, 3
+      if (k == 1) call write_text_stl(folder//'bad'//ending(k), surface)
+      if (k == 2) call write_binary_stl(folder//'bad'//ending(k), surface, 'binary')
+      if (k == 3) call write_obj(folder//'bad'//ending(k), surface)
+      open (newunit=unit, file=folder//'bad'//ending(k), access='stream', form='unformatted', status='old')
+      inquire (unit=unit, size=bytes)
+      allocate (character(len=bytes) :: good)
+      read (unit) good
+      close (unit)
+      refused = 0
+      do i = 1, n
+        text = good
+        do j = 1, 1 + modulo(i, 3)
+          a = 1 + int(uniform(seed)*(len(text) - 1))
+          b = min(len(text), a + int(60*uniform(seed)))
+          select case (int(5*uniform(seed)))
+          case (0)
+            text(a:a) = achar(int(255*uniform(seed)))
+          case (1)
+            text(a:a) = text(b:b)
+          case (2)
+            text = text(:a)//text(b:)
+          case (3)
+            text = text(:b)//text(a:)
+          case default
+            if (modulo(i, 7) == 0) text = text(:a)
+          end select
+        end do
+        open (newunit=unit, file=folder//'bad'//ending(k), access='stream', form='unformatted', status='replace')
+        write (unit) text
+        close (unit)
+        if (allocated(error)) deallocate (error)
+        call new_mesh_shape(shape, folder//'bad'//ending(k), error)
+        if (.not. allocated(error)) cycle
+        refused = refused + 1
+        call expect(error%code == 2 .and. index(error%message, folder//'bad'//ending(k)) == 1, 'refused as bad input')
+      end do
+      call expect(refused > n/2, 'most are refused')
+      deallocate (good)
+    end do
+  end subroutine damaged_files
 
   !> A good tetrahedron with one line replaced.
   subroutine refuse_line(lines, number, text, words)

@@ -31,7 +31,7 @@ contains
     integer :: attempt
     extent = maxval(maxval(surface%vertex, 2) - minval(surface%vertex, 2))
     if (.not. (extent >= least_size .and. extent <= largest_size)) then
-      call fail(error, exit_input, path//': the mesh is '//to_text(real(nint(extent*1.0e6_wp), wp)/1.0e6_wp)// &
+      call fail(error, exit_input, path//': the mesh is '//length_text(extent)// &
                 ' m long; from 1 mm to 1 km are taken. Coordinates are metres: was it drawn in millimetres?')
       return
     end if
@@ -295,6 +295,14 @@ contains
     end do
     volume = surface_volume(piece)
   end subroutine measure_shell
+
+  pure function length_text(length) result(text)
+    real(wp), intent(in) :: length
+    character(len=:), allocatable :: text
+    character(len=16) :: buffer
+    write (buffer, '(g0.4)') length
+    text = trim(buffer)
+  end function length_text
 
   pure function place(point) result(text)
     real(wp), intent(in) :: point(3)

@@ -178,7 +178,7 @@ contains
       word = lower(word_of(file))
       if (state == 2 .and. word == 'endsolid') state = 9
       if (word /= trim(wanted(state))) then
-        call fail(error, exit_input, at(file)//'"'//word//'" seen, "'//trim(wanted(state))//'" expected')
+        call fail(error, exit_input, at(file)//shown(word)//' seen, '''//trim(wanted(state))//''' expected')
         return
       end if
       select case (state)
@@ -198,7 +198,7 @@ contains
       if (state == 10) state = 1
     end do
     if (state /= 1) then
-      call fail(error, exit_input, at(file)//'the file ends where "'//trim(wanted(state))//'" is expected')
+      call fail(error, exit_input, at(file)//'the file ends where '''//trim(wanted(state))//''' is expected')
       return
     end if
     surface%vertex = surface%vertex(:, :n)
@@ -242,7 +242,7 @@ contains
             'd_interp', 'lod', 'shadow_obj', 'trace_obj')
         continue
       case default
-        call fail(error, exit_input, at(file)//quoted(word)//' is no statement of a polygon OBJ file; read are v and f')
+        call fail(error, exit_input, at(file)//shown(word)//' is no statement of a polygon OBJ file; read are v and f')
       end select
       if (allocated(error)) return
     end do
@@ -275,12 +275,12 @@ contains
       slash = index(word//'/', '/')
       call parse_integer(word(:slash - 1), number, problem)
       if (allocated(problem)) then
-        call fail(error, exit_input, at(file)//'corner '//quoted(word)//' '//problem)
+        call fail(error, exit_input, at(file)//'corner '//shown(word)//' '//problem)
         return
       end if
       if (number < 0) number = n + 1 + number
       if (number < 1 .or. number > n) then
-        call fail(error, exit_input, at(file)//'corner '//quoted(word)//' is no vertex: '//to_text(n)//' stand before it')
+        call fail(error, exit_input, at(file)//'corner '//shown(word)//' is no vertex: '//to_text(n)//' stand before it')
         return
       end if
       corner(count) = int(number)
@@ -347,7 +347,7 @@ contains
       call parse_real(word, value(k), problem)
       if (.not. allocated(problem) .and. abs(value(k)) > farthest) problem = 'is beyond '//to_text(farthest)//' m'
       if (.not. allocated(problem)) cycle
-      call fail(error, exit_input, at(file)//quoted(word)//' '//problem)
+      call fail(error, exit_input, at(file)//shown(word)//' '//problem)
       return
     end do
   end subroutine three_numbers
@@ -478,6 +478,19 @@ contains
       next = next + 1
     end do
   end function after_word
+
+  !> A word for a message: quoted, what cannot be printed as '?', not too long.
+  pure function shown(word) result(text)
+    character(len=*), intent(in) :: word
+    character(len=:), allocatable :: text
+    integer :: i
+    text = word(:min(len(word), 40))
+    do i = 1, len(text)
+      if (iachar(text(i:i)) < 32 .or. iachar(text(i:i)) > 126) text(i:i) = '?'
+    end do
+    if (len(word) > 40) text = text//'...'
+    text = quoted(text)
+  end function shown
 
   pure function at(file) result(text)
     type(lines_t), intent(in) :: file
