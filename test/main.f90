@@ -5,6 +5,7 @@ program main
   use test_checkpoint, only: run_test_checkpoint
   use test_command_line, only: run_test_command_line
   use test_contact, only: run_test_contact
+  use test_compliant_contact, only: run_test_compliant_contact
   use test_convex_hull, only: run_test_convex_hull
   use test_deployment, only: run_test_deployment
   use test_diagnostics, only: run_test_diagnostics
@@ -35,6 +36,7 @@ program main
   use verify_contact, only: run_verify_contact
   use verify_environment, only: run_verify_environment
   use verify_free_shot, only: run_verify_free_shot
+  use verify_hard_cases, only: run_verify_hard_cases
   use verify_pulled_cable, only: run_verify_pulled_cable
   use verify_snap, only: run_verify_snap
   use verify_torque_free, only: run_verify_torque_free
@@ -44,6 +46,7 @@ program main
   call run_test_checkpoint()
   call run_test_command_line()
   call run_test_contact()
+  call run_test_compliant_contact()
   call run_test_convex_hull()
   call run_test_deployment()
   call run_test_diagnostics()
@@ -73,6 +76,7 @@ program main
   call run_verify_contact()
   call run_verify_environment()
   call run_verify_free_shot()
+  call run_verify_hard_cases()
   call run_verify_pulled_cable()
   call run_verify_snap()
   call run_verify_torque_free()

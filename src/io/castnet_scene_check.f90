@@ -191,6 +191,11 @@ contains
         call problem('bullets', '', 'bullets need a net of kind = ''square''; in a net from a file they are nodes like others')
       end if
     end if
+    if (allocated(scene%contact)) then
+      if (scene%contact%law /= 'impulse' .and. scene%contact%detect == 'cables') call problem('contact', 'detect', &
+        'seen ''cables'' with law = '''//trim(scene%contact%law)//'''; springs act on nodes only: '// &
+        'give detect = ''nodes'' or law = ''impulse''')
+    end if
     if (allocated(scene%contact) .and. .not. (net .and. target)) call problem('contact', '', &
       'contact needs both a &net and a &target; there is no &'//trim(merge('net   ', 'target', .not. net)))
     if (net .and. target .and. .not. allocated(scene%contact)) call warnings%add(scene%path, place%last_line, '', &

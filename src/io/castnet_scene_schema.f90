@@ -15,7 +15,7 @@ module castnet_scene_schema
   public :: set_key, get_key, split_key, key_reference_t, parse_override_value, allocate_group
 
   ! Not available yet: a builder of one of these takes it out here, and nowhere else.
-  character(len=*), parameter :: pending_laws = 'penalty hunt_crossley'
+  character(len=*), parameter :: pending_laws = ''
   character(len=*), parameter :: pending_detect = ''
   character(len=*), parameter :: pending_shapes = ''
   character(len=*), parameter :: pending_methods = 'adaptive'
@@ -149,7 +149,8 @@ contains
     type(schema_t), intent(inout) :: table
     associate (t => table, g => scene%contact)
       call t%group('contact', 'How net and target meet. Without it they pass through each other.')
-      call t%word_key('law', g%law, 'impulse penalty hunt_crossley', 'contact law', pending=pending_laws)
+      call t%word_key('law', g%law, 'impulse penalty hunt_crossley', &
+                      'contact law: impulses, or springs and dampers at the nodes', pending=pending_laws)
       call t%word_key('detect', g%detect, 'nodes cables', 'what of the net can touch', pending=pending_detect)
       call t%real_key('restitution', g%restitution, '-', 'coefficient of restitution', low=0.0_wp, high=1.0_wp, use=impulse_law)
       call t%real_key('friction', g%friction, '-', 'coefficient of friction', low=0.0_wp, high=100.0_wp, &

@@ -8,6 +8,7 @@ module castnet_contact_event
   use castnet_rotation, only: rotation_matrix, congruent, multiply, multiply_transposed, &
                               quaternion_product, quaternion_from_rotation_vector, normalise_quaternion
   use castnet_shape, only: shape_bounds, shape_bounding_radius, signed_distance, segment_distance
+  use castnet_compliant_contact, only: is_compliant, list_pushed
   use castnet_contact_list, only: contact_list_t, body_inertia_t, impulse_report_t, reserve_contacts, lane
   use castnet_broad_phase, only: net_box, boxes_apart, into_body_axes
   use castnet_near_list, only: near_list_t, reserve_near, rebuild_near, largest_move
@@ -53,6 +54,7 @@ contains
     type(contact_work_t), intent(out) :: work
     type(model_t), intent(in) :: model
     real(wp) :: lower(3), upper(3)
+    if (is_compliant(model)) call reserve_contacts(work%list, model%net%n_node)
     if (.not. is_modelled(model)) return
     call reserve_contacts(work%list, model%net%n_node + merge(model%net%n_cable, 0, model%contact%detect_cables))
     call reserve_solver(work%solver, work%list, model%net%n_node, model%contact)
@@ -75,7 +77,8 @@ contains
 
   !> Contact at the end of a step: impulses on node velocities and the target's twist, in
   !> push_only also sunken nodes back to the surface; ledger, tally, histogram and first
-  !> contact. Costs a comparison while nothing can touch. No allocation.
+  !> contact. Costs a comparison while nothing can touch. No allocation. Compliant laws
+  !> have acted within the step: of them the books are kept only.
   subroutine handle_contacts(model, state, work, error)
     type(model_t), intent(in) :: model
     type(state_t), intent(inout) :: state
@@ -83,6 +86,7 @@ contains
     type(error_t), allocatable, intent(inout) :: error
     real(wp) :: r(3, 3)
     work%acted = .false.
+    if (is_compliant(model)) call watch_springs(model, state, work)
     if (.not. is_modelled(model)) return
     if (state%time < state%skip_contact_until) return
     call detect_contacts(model, state, work, r)
@@ -202,8 +206,7 @@ contains
     type(state_t), intent(inout) :: state
     type(contact_work_t), intent(inout) :: work
     real(wp) :: j
-    logical :: first_one
-    integer :: k, bin
+    integer :: k
     associate (tally => state%tally, list => work%list)
       tally%contact_residual = max(tally%contact_residual, work%report%residual)
       tally%contact_iterations = max(tally%contact_iterations, work%report%iterations)
@@ -211,22 +214,7 @@ contains
         j = list%impulse(k)
         if (.not. abs(j) > 0.0_wp) cycle
         work%acted = .true.
-        tally%contacts = tally%contacts + 1_i8
-        if (model%net%is_bullet(list%node_a(k)) .or. model%net%is_bullet(list%node_b(k))) then
-          tally%max_bullet_impulse = max(tally%max_bullet_impulse, j)
-          cycle
-        end if
-        ! Until the first impulse of a row all three are zero together.
-        first_one = .not. (abs(tally%impulse_sum) > 0.0_wp .or. abs(tally%max_impulse) > 0.0_wp &
-                           .or. abs(tally%min_impulse) > 0.0_wp)
-        tally%min_impulse = merge(j, min(tally%min_impulse, j), first_one)
-        tally%max_impulse = max(tally%max_impulse, j)
-        tally%impulse_sum = tally%impulse_sum + j
-        if (allocated(state%impulse_histogram)) then
-          bin = 1 + floor(impulse_bins_per_decade*log10(abs(j)/impulse_bin_low))
-          bin = min(impulse_bins, max(1, bin))
-          state%impulse_histogram(bin) = state%impulse_histogram(bin) + 1_i8
-        end if
+        call count_impulse(state, model%net%is_bullet(list%node_a(k)) .or. model%net%is_bullet(list%node_b(k)), j)
       end do
       if (work%acted) then
         state%ledger%contact_loss = state%ledger%contact_loss + work%report%energy_loss
@@ -234,6 +222,51 @@ contains
       end if
     end associate
   end subroutine keep_books
+
+  !> One impulse [N s] into tally and histogram.
+  pure subroutine count_impulse(state, of_bullet, j)
+    type(state_t), intent(inout) :: state
+    logical, intent(in) :: of_bullet
+    real(wp), intent(in) :: j
+    logical :: first_one
+    integer :: bin
+    associate (tally => state%tally)
+      tally%contacts = tally%contacts + 1_i8
+      if (of_bullet) then
+        tally%max_bullet_impulse = max(tally%max_bullet_impulse, j)
+        return
+      end if
+      ! Until the first impulse of a row all three are zero together.
+      first_one = .not. (abs(tally%impulse_sum) > 0.0_wp .or. abs(tally%max_impulse) > 0.0_wp &
+                         .or. abs(tally%min_impulse) > 0.0_wp)
+      tally%min_impulse = merge(j, min(tally%min_impulse, j), first_one)
+      tally%max_impulse = max(tally%max_impulse, j)
+      tally%impulse_sum = tally%impulse_sum + j
+      if (.not. allocated(state%impulse_histogram)) return
+      bin = 1 + floor(impulse_bins_per_decade*log10(abs(j)/impulse_bin_low))
+      bin = min(impulse_bins, max(1, bin))
+      state%impulse_histogram(bin) = state%impulse_histogram(bin) + 1_i8
+    end associate
+  end subroutine count_impulse
+
+  !> Books of a compliant law at the step's end: every node that is pushed counts as one
+  !> contact, with the normal force times the step for its impulse.
+  subroutine watch_springs(model, state, work)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(inout) :: state
+    type(contact_work_t), intent(inout) :: work
+    real(wp) :: deepest
+    integer :: k
+    associate (list => work%list, net => model%net)
+      call list_pushed(model, net%n_pad, state%node_position, state%node_velocity, state%target, list%n, list%node_a, &
+                       list%impulse, deepest)
+      do k = 1, list%n
+        call count_impulse(state, net%is_bullet(list%node_a(k)), model%step*list%impulse(k))
+      end do
+      if (list%n > 0 .and. state%first_contact < 0.0_wp) state%first_contact = state%time
+      state%tally%deepest_penetration = max(state%tally%deepest_penetration, deepest)
+    end associate
+  end subroutine watch_springs
 
   !> Sunken points back onto the surface, and the elastic energy that it changes. Flat
   !> faces need one pass; over edges the linearised surface is corrected by another.

@@ -7,6 +7,7 @@
 module castnet_diagnostics
   use castnet_kinds, only: wp, i8
   use castnet_cable_force, only: survey_cables
+  use castnet_compliant_contact, only: is_compliant, spring_energy
   use castnet_error, only: error_t, fail, exit_numerical
   use castnet_model, only: model_t, target_t
   use castnet_net, only: net_t
@@ -35,6 +36,7 @@ contains
       row%kinetic_net = net_kinetic_energy(model%net, state%node_velocity)
       call survey_net(model%net, state%node_position, state%node_velocity, row%elastic, row%max_tension)
       row%max_tension = max(state%tally%max_tension, row%max_tension)
+      if (is_compliant(model)) row%elastic = row%elastic + spring_energy(model, state%node_position, state%target)
     end if
     if (allocated(model%target)) row%kinetic_target = target_kinetic_energy(model%target, state%target)
     row%linear_momentum = linear_momentum(model, state)

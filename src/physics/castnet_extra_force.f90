@@ -3,8 +3,9 @@
 module castnet_extra_force
   use castnet_kinds, only: wp
   use castnet_closing_thread, only: add_thread_force
-  use castnet_model, only: model_t, law_impulse
-  use castnet_state, only: body_state_t, closing_state_t
+  use castnet_compliant_contact, only: is_compliant, add_contact_force
+  use castnet_model, only: model_t
+  use castnet_state, only: body_state_t, closing_state_t, ledger_t
   implicit none
   private
   public :: has_extra_force, gather_extra_force
@@ -14,13 +15,12 @@ contains
   !> Does this model have forces besides cables, gravity and impulses?
   pure logical function has_extra_force(model)
     type(model_t), intent(in) :: model
-    has_extra_force = allocated(model%closing)
-    if (allocated(model%contact)) has_extra_force = has_extra_force .or. model%contact%law /= law_impulse
+    has_extra_force = allocated(model%closing) .or. is_compliant(model)
   end function has_extra_force
 
   !> All extra forces at one stage.
   subroutine gather_extra_force(model, n_pad, x, v, body, closing, force, body_force, body_torque, &
-                                share, thread_impulse)
+                                share, thread_impulse, ledger)
     type(model_t), intent(in) :: model
     integer, intent(in) :: n_pad
     real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)    !! [m], [m/s]
@@ -31,12 +31,15 @@ contains
     real(wp), intent(out) :: body_torque(3)             !! on the target, body axes [N m]
     real(wp), intent(in) :: share                       !! of the step that this stage stands for [s]
     real(wp), allocatable, intent(inout) :: thread_impulse(:, :) !! (n_pad,3) grows by share x thread force; with &closing [N s]
+    type(ledger_t), intent(inout) :: ledger             !! grows by what contact's damping and friction take
 
     force = 0.0_wp
     body_force = 0.0_wp
     body_torque = 0.0_wp
     if (allocated(model%closing)) &
       call add_thread_force(model%closing, closing, n_pad, x, v, force, share, thread_impulse)
+    if (is_compliant(model)) &
+      call add_contact_force(model, n_pad, x, v, body, force, body_force, body_torque, share, ledger)
   end subroutine gather_extra_force
 
 end module castnet_extra_force

@@ -92,28 +92,32 @@ contains
     if (allocated(work%cables%thread_impulse)) work%cables%thread_impulse = 0.0_wp
 
     if (allocated(work%cables%extra)) call gather_extra_force(model, n, state%node_position, state%node_velocity, &
-        body, state%closing, work%cables%extra, work%body_force, work%body_torque, h/6.0_wp, work%cables%thread_impulse)
+        body, state%closing, work%cables%extra, work%body_force, work%body_torque, h/6.0_wp, work%cables%thread_impulse, &
+        state%ledger)
     if (moves) k(1) = body_rate(model, body, work%body_force, work%body_torque)
     if (has_net) call sweep(model, work%cables, stage_first, n, 0.5_wp*h, state%node_position, state%node_velocity, &
         work%xb, work%vb, work%xa, work%va, work%sum_x, work%sum_v, power(:, 1))
 
     if (moves) body = body_advance(state%target, k(1), 0.5_wp*h)
     if (allocated(work%cables%extra)) call gather_extra_force(model, n, work%xa, work%va, &
-        body, state%closing, work%cables%extra, work%body_force, work%body_torque, h/3.0_wp, work%cables%thread_impulse)
+        body, state%closing, work%cables%extra, work%body_force, work%body_torque, h/3.0_wp, work%cables%thread_impulse, &
+        state%ledger)
     if (moves) k(2) = body_rate(model, body, work%body_force, work%body_torque)
     if (has_net) call sweep(model, work%cables, stage_middle, n, 0.5_wp*h, work%xa, work%va, &
         state%node_position, state%node_velocity, work%xb, work%vb, work%sum_x, work%sum_v, power(:, 2))
 
     if (moves) body = body_advance(state%target, k(2), 0.5_wp*h)
     if (allocated(work%cables%extra)) call gather_extra_force(model, n, work%xb, work%vb, &
-        body, state%closing, work%cables%extra, work%body_force, work%body_torque, h/3.0_wp, work%cables%thread_impulse)
+        body, state%closing, work%cables%extra, work%body_force, work%body_torque, h/3.0_wp, work%cables%thread_impulse, &
+        state%ledger)
     if (moves) k(3) = body_rate(model, body, work%body_force, work%body_torque)
     if (has_net) call sweep(model, work%cables, stage_middle, n, h, work%xb, work%vb, &
         state%node_position, state%node_velocity, work%xa, work%va, work%sum_x, work%sum_v, power(:, 3))
 
     if (moves) body = body_advance(state%target, k(3), h)
     if (allocated(work%cables%extra)) call gather_extra_force(model, n, work%xa, work%va, &
-        body, state%closing, work%cables%extra, work%body_force, work%body_torque, h/6.0_wp, work%cables%thread_impulse)
+        body, state%closing, work%cables%extra, work%body_force, work%body_torque, h/6.0_wp, work%cables%thread_impulse, &
+        state%ledger)
     call credit_winch(work%cables, state)
     if (moves) then
       k(4) = body_rate(model, body, work%body_force, work%body_torque)
@@ -165,7 +169,8 @@ contains
         if (allocated(state%target)) body = state%target
         if (moves) call body_flow(model, body, 0.5_wp*h, state%ledger%external_work)
         call gather_extra_force(model, n, work%xa, state%velocity_ahead, body, state%closing, &
-                                work%cables%extra, work%body_force, work%body_torque, h, work%cables%thread_impulse)
+                                work%cables%extra, work%body_force, work%body_torque, h, work%cables%thread_impulse, &
+                                state%ledger)
         call credit_winch(work%cables, state)
       end if
       call sweep(model, work%cables, stage_kick, n, h, work%xa, state%velocity_ahead, &

@@ -32,6 +32,9 @@ module castnet_runner
   !> most, a single step of a large net.
   integer, parameter :: node_steps_per_look = 20000
 
+  !> Velocity by which a contact event may miss its conditions before the user is warned [m/s].
+  real(wp), parameter :: residual_bound = 1.0e-6_wp
+
   !> What the command line says about a run.
   type :: run_options_t
     character(len=:), allocatable :: output     !! OUTPUT
@@ -151,6 +154,7 @@ contains
       if (allocated(error) .or. stop_code /= exit_done) exit
     end do
     call end_progress(log)
+    call warn_of_residual(log, max(ledger%contact_residual, sim%state%tally%contact_residual))
 
     status = status_complete
     if (stop_code /= exit_done) status = status_stopped
@@ -160,6 +164,15 @@ contains
     if (stop_code /= exit_done) call fail(error, stop_code, 'stopped at t = '//to_text(sim%state%time)// &
       ' s; go on with --restart '//checkpoint_path(options%output))
   end subroutine run_locked
+
+  !> Contact events that were not solved to the bound: said once, with the worst.
+  subroutine warn_of_residual(log, residual)
+    type(log_t), intent(inout) :: log
+    real(wp), intent(in) :: residual  !! largest of the run [m/s]
+    if (.not. residual > residual_bound) return
+    call log_warning(log, 'contact: the conditions of at least one event were missed by up to '//to_text(residual)// &
+      ' m/s, more than '//to_text(residual_bound)//' m/s; no energy was created; /history/contact_residual says when')
+  end subroutine warn_of_residual
 
   !> A new output file, or the one that the checkpoint's run left.
   subroutine open_writer(sim, scene, effective_text, options, writer, error)

@@ -2,6 +2,7 @@
 module castnet_setup
   use castnet_kinds, only: wp
   use castnet_closing_thread, only: update_closing
+  use castnet_compliant_contact, only: is_compliant, contact_rates
   use castnet_error, only: error_t, fail, exit_input
   use castnet_integrator, only: midpoint_begin
   use castnet_model, only: model_t, method_midpoint
@@ -11,6 +12,7 @@ module castnet_setup
   use castnet_perturb, only: perturbation_t
   use castnet_scene, only: scene_t
   use castnet_stable_step, only: spectrum_t, net_spectrum, widen_by_thread, largest_stable_step
+  use castnet_shape, only: shape_bounding_radius
   use castnet_state, only: state_t
   use castnet_stepper, only: work_t, new_work
   use castnet_text, only: to_text
@@ -89,6 +91,12 @@ contains
         report%stable_limit = largest_stable_step(model%method, report%spectrum)
         thread = ' with its closing thread (without it '//to_text(net_limit)//' s)'
       end if
+      if (is_compliant(model)) then
+        net_limit = report%stable_limit
+        call widen_by_contact(report%spectrum, scene, model, state)
+        report%stable_limit = largest_stable_step(model%method, report%spectrum)
+        thread = thread//' with the springs of its contact (without them '//to_text(net_limit)//' s)'
+      end if
     end if
 
     if (scene%time%step > 0.0_wp) then
@@ -128,5 +136,25 @@ contains
     end if
     report%step = min(report%step, scene%time%end_time)
   end subroutine choose_step
+
+  !> The spectrum with every contact spring pushing, at the speed of the shot.
+  subroutine widen_by_contact(spectrum, scene, model, state)
+    type(spectrum_t), intent(inout) :: spectrum
+    type(scene_t), intent(in) :: scene
+    type(model_t), intent(in) :: model
+    type(state_t), intent(in) :: state
+    real(wp) :: speed, stiffness_rate, damping_rate
+    integer :: i
+    speed = 0.0_wp
+    do i = 1, model%net%n_node
+      speed = max(speed, sqrt(state%node_velocity(i, 1)**2 + state%node_velocity(i, 2)**2 + state%node_velocity(i, 3)**2))
+    end do
+    if (allocated(scene%bullets)) speed = max(speed, scene%bullets%speed)
+    if (.not. model%target%fixed) speed = speed + sqrt(sum(state%target%velocity**2)) &
+      + (shape_bounding_radius(model%target%shape) + model%contact%threshold)*sqrt(sum(state%target%angular_velocity**2))
+    call contact_rates(model, speed, stiffness_rate, damping_rate)
+    spectrum%highest_frequency = sqrt(spectrum%highest_frequency**2 + stiffness_rate)
+    spectrum%largest_damping_rate = spectrum%largest_damping_rate + damping_rate
+  end subroutine widen_by_contact
 
 end module castnet_setup

@@ -3,6 +3,7 @@
 module castnet_simulation
   use castnet_kinds, only: wp, i8
   use castnet_capture_measures, only: measure_capture
+  use castnet_compliant_contact, only: is_compliant, spring_energy
   use castnet_deployment, only: begin_deployment, observe_deployment, deployment_of
   use castnet_diagnostics, only: record_history, impulse_percentiles, check_finite, net_kinetic_energy, &
                                  target_kinetic_energy, elastic_energy
@@ -256,6 +257,7 @@ contains
     if (allocated(model%net)) energy = energy + net_kinetic_energy(model%net, state%node_velocity) &
                                        + elastic_energy(model%net, state%node_position)
     if (allocated(model%target)) energy = energy + target_kinetic_energy(model%target, state%target)
+    if (is_compliant(model)) energy = energy + spring_energy(model, state%node_position, state%target)
   end function mechanical_energy
 
 end module castnet_simulation
