@@ -9,6 +9,7 @@ program main
   use test_convex_hull, only: run_test_convex_hull
   use test_deployment, only: run_test_deployment
   use test_diagnostics, only: run_test_diagnostics
+  use test_fast_nodes, only: run_test_fast_nodes
   use test_friction, only: run_test_friction
   use test_log, only: run_test_log
   use test_mesh, only: run_test_mesh
@@ -50,6 +51,7 @@ program main
   call run_test_convex_hull()
   call run_test_deployment()
   call run_test_diagnostics()
+  call run_test_fast_nodes()
   call run_test_friction()
   call run_test_log()
   call run_test_mesh()

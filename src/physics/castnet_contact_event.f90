@@ -16,6 +16,7 @@ module castnet_contact_event
   use castnet_contact_response, only: contact_solver_t, reserve_solver, resolve_contacts, resolve_depths
   use castnet_contact_projection, only: cable_incidence_t, new_incidence, energy_of_moved_cables, move_nodes
   use castnet_contact_horizon, only: earliest_contact_time
+  use castnet_fast_nodes, only: fast_nodes_t, new_fast_nodes, catch_fast, release_fast
   implicit none
   private
   public :: contact_work_t, new_contact_work, handle_contacts, detect_contacts, body_inertia
@@ -38,6 +39,7 @@ module castnet_contact_event
     type(near_list_t) :: near
     type(contact_solver_t) :: solver
     type(cable_incidence_t) :: incidence
+    type(fast_nodes_t) :: fast
     type(impulse_report_t) :: report
     real(wp), allocatable :: y(:, :)           !! (n_pad,3) nodes in body axes [m]
     real(wp), allocatable :: outside(:)        !! (n_pad) of the body's box [m]
@@ -60,6 +62,7 @@ contains
     call reserve_solver(work%solver, work%list, model%net%n_node, model%contact)
     call reserve_near(work%near, model%net, model%contact%detect_cables, skin_thresholds*model%contact%threshold)
     call new_incidence(work%incidence, model%net)
+    call new_fast_nodes(work%fast, model%net%n_node)
     allocate (work%y(model%net%n_pad, 3), work%outside(model%net%n_pad), source=0.0_wp)
     allocate (work%node_gap(model%net%n_pad), source=huge(1.0_wp))
     call shape_bounds(model%target%shape, lower, upper)
@@ -84,11 +87,23 @@ contains
     type(state_t), intent(inout) :: state
     type(contact_work_t), intent(inout) :: work
     type(error_t), allocatable, intent(inout) :: error
-    real(wp) :: r(3, 3)
     work%acted = .false.
     if (is_compliant(model)) call watch_springs(model, state, work)
     if (.not. is_modelled(model)) return
     if (state%time < state%skip_contact_until) return
+    call catch_fast(model, state, work%radius, work%fast, work%incidence)
+    call meet_at_end(model, state, work)
+    if (work%fast%n == 0) return
+    call release_fast(model, state, work%fast, work%incidence)
+    work%acted = .true.
+  end subroutine handle_contacts
+
+  !> The contacts of this instant, detected, resolved and put back.
+  subroutine meet_at_end(model, state, work)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(inout) :: state
+    type(contact_work_t), intent(inout) :: work
+    real(wp) :: r(3, 3)
     call detect_contacts(model, state, work, r)
     if (.not. work%engaged) then
       if (mod(state%step, horizon_stride) == 0_i8) state%skip_contact_until = earliest_contact_time(model, state)
@@ -101,7 +116,7 @@ contains
     else
       state%tally%deepest_penetration = max(state%tally%deepest_penetration, -minval(work%list%gap(1:work%list%n)))
     end if
-  end subroutine handle_contacts
+  end subroutine meet_at_end
 
   !> Fill `work%list` with every contact of this instant; `r` is the target's attitude.
   subroutine detect_contacts(model, state, work, r)

@@ -10,7 +10,7 @@ module castnet_contact_projection
   use castnet_impulse_solver, only: impulse_problem_t
   implicit none
   private
-  public :: cable_incidence_t, new_incidence, energy_of_moved_cables, move_nodes, set_depths, mass_of
+  public :: cable_incidence_t, new_incidence, energy_of_moved_cables, energy_of_cables_at, move_nodes, set_depths, mass_of
 
   !> The cables at each node, for the elastic energy of those that are moved.
   type :: cable_incidence_t
@@ -90,6 +90,37 @@ contains
       end do
     end subroutine add_cables_of
   end subroutine energy_of_moved_cables
+
+  !> Elastic energy of every cable at the given nodes [J].
+  real(wp) function energy_of_cables_at(net, n_pad, x, node, incidence) result(energy)
+    type(net_t), intent(in) :: net
+    integer, intent(in) :: n_pad
+    real(wp), intent(in) :: x(n_pad, 3)
+    integer, intent(in) :: node(:)                      !! counted from 1
+    type(cable_incidence_t), intent(inout) :: incidence
+    real(wp) :: dx, dy, dz, stretch
+    integer :: k, e, c, a, b
+    incidence%present = incidence%present + 1
+    if (incidence%present == huge(1)) then
+      incidence%stamp = 0
+      incidence%present = 1
+    end if
+    energy = 0.0_wp
+    do k = 1, size(node)
+      do e = incidence%start(node(k)), incidence%start(node(k) + 1) - 1
+        c = incidence%cable(e)
+        if (incidence%stamp(c) == incidence%present) cycle
+        incidence%stamp(c) = incidence%present
+        a = net%cable_nodes(1, c)
+        b = net%cable_nodes(2, c)
+        dx = x(b, 1) - x(a, 1)
+        dy = x(b, 2) - x(a, 2)
+        dz = x(b, 3) - x(a, 3)
+        stretch = max(0.0_wp, sqrt(dx*dx + dy*dy + dz*dz) - net%natural_length(c))
+        energy = energy + 0.5_wp*net%axial_stiffness(c)/net%natural_length(c)*stretch*stretch
+      end do
+    end do
+  end function energy_of_cables_at
 
   !> 1/w; a fixed point has no mass to speak of, and solvers that divide by w are not
   !> given one: any positive number says that the contact counts.
