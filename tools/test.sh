@@ -59,5 +59,6 @@ if [ -z "$filter" ]; then
   for script in test/system/*.py; do
     run_group "$script" "$castnet_python" "$script" "$castnet"
   done
+  run_group "Instructions a cable" "$castnet_python" tools/bench/instructions.py
 fi
 finished=yes
