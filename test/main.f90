@@ -30,6 +30,7 @@ program main
   use test_study_file, only: run_test_study_file
   use test_text, only: run_test_text
   use test_threads, only: run_test_threads
+  use verify_state_hash, only: run_verify_state_hash
   use testing, only: finish
   use verify_catenary, only: run_verify_catenary
   use verify_chain, only: run_verify_chain
@@ -82,5 +83,6 @@ program main
   call run_verify_pulled_cable()
   call run_verify_snap()
   call run_verify_torque_free()
+  call run_verify_state_hash()
   call finish()
 end program main
