@@ -39,6 +39,7 @@ module castnet_fast_nodes
     real(wp), allocatable :: rest(:)           !! (n_node) time since the node entered [s]
     real(wp), allocatable :: back(:, :)        !! (3,n_node) by which it was put back [m]
     real(wp), allocatable :: before(:, :)      !! (3,n_node) its velocity then [m/s]
+    real(wp), allocatable :: square(:)         !! (n_node) scratch: squared speeds against the body's centre [m2/s2]
     real(wp) :: energy = 0.0_wp                !! elastic, of its cables before it was moved [J]
   end type fast_nodes_t
 
@@ -49,7 +50,7 @@ contains
     type(fast_nodes_t), intent(out) :: fast
     integer, intent(in) :: n_node
     allocate (fast%node(n_node), source=0)
-    allocate (fast%rest(n_node), fast%back(3, n_node), fast%before(3, n_node), source=0.0_wp)
+    allocate (fast%rest(n_node), fast%back(3, n_node), fast%before(3, n_node), fast%square(n_node), source=0.0_wp)
   end subroutine new_fast_nodes
 
   !> Put nodes that crossed within the last step back to where they entered the layer.
@@ -59,19 +60,29 @@ contains
     real(wp), intent(in) :: radius             !! bounding radius of the target [m]
     type(fast_nodes_t), intent(inout) :: fast
     type(cable_incidence_t), intent(inout) :: incidence
-    real(wp) :: r(3, 3), rate(3), arm(3), u(3), way, spin, p0(3), p1(3), hit(3)
+    real(wp) :: r(3, 3), rate(3), arm(3), u(3), way, spin, p0(3), p1(3), hit(3), top, reach, slow
     logical :: crossed
     integer :: i, k
     fast%n = 0
     if (state%step == 0) return
     associate (net => model%net, body => state%target, threshold => model%contact%threshold)
       spin = sqrt(body%angular_velocity(1)**2 + body%angular_velocity(2)**2 + body%angular_velocity(3)**2) + abs(model%orbit_rate)
-      way = model%step*(fastest(net%n_node, net%n_pad, state%node_velocity, body%velocity) + spin*(radius + threshold))
-      if (way <= threshold) return
+      call squared_speeds(net%n_node, net%n_pad, state%node_velocity, body%velocity, fast%square, top)
+      ! A node that reaches the layer within the step lies within `reach` of the body's
+      ! centre, so its way is at most h (|v - V| + spin reach): slower ones need no look.
+      if (model%step*spin < 0.5_wp) then
+        reach = (radius + threshold + model%step*sqrt(top))/(1.0_wp - model%step*spin)
+        slow = threshold/model%step - spin*reach
+        if (sqrt(top) <= slow) return
+        slow = sign(slow*slow, slow)
+      else
+        slow = -1.0_wp
+      end if
       r = rotation_matrix(body%attitude)
       rate = multiply(r, body%angular_velocity)
       if (.not. model%target%fixed) rate(2) = rate(2) + model%orbit_rate
       do i = 1, net%n_node
+        if (fast%square(i) <= slow) cycle
         if (net%inverse_mass(i) <= 0.0_wp) cycle
         arm = [state%node_position(i, 1), state%node_position(i, 2), state%node_position(i, 3)] - body%position
         u = [state%node_velocity(i, 1), state%node_velocity(i, 2), state%node_velocity(i, 3)] - body%velocity - cross(rate, arm)
@@ -140,17 +151,27 @@ contains
     crossed = end_normal(1, 1)*normal(1, 1) + end_normal(2, 1)*normal(2, 1) + end_normal(3, 1)*normal(3, 1) < same_side
   end subroutine follow
 
-  !> Speed of the fastest node against the body's centre of mass [m/s].
-  pure real(wp) function fastest(n, n_pad, v, centre)
+  !> Squared speeds of the nodes against the body's centre of mass, and the largest [m2/s2].
+  pure subroutine squared_speeds(n, n_pad, v, centre, square, top)
     integer, intent(in) :: n, n_pad
     real(wp), intent(in) :: v(n_pad, 3), centre(3)
-    real(wp) :: square
-    integer :: i
-    square = 0.0_wp
+    real(wp), intent(out) :: square(n), top
+    integer, parameter :: lanes = 8   ! partial maxima, which the compiler keeps side by side
+    real(wp) :: part(lanes)
+    integer :: i, k
     do i = 1, n
-      square = max(square, (v(i, 1) - centre(1))**2 + (v(i, 2) - centre(2))**2 + (v(i, 3) - centre(3))**2)
+      square(i) = (v(i, 1) - centre(1))**2 + (v(i, 2) - centre(2))**2 + (v(i, 3) - centre(3))**2
     end do
-    fastest = sqrt(square)
-  end function fastest
+    part = 0.0_wp
+    do i = 0, n - lanes, lanes
+      do k = 1, lanes
+        part(k) = merge(square(i + k), part(k), square(i + k) > part(k))
+      end do
+    end do
+    top = maxval(part)
+    do i = n - modulo(n, lanes) + 1, n
+      top = max(top, square(i))
+    end do
+  end subroutine squared_speeds
 
 end module castnet_fast_nodes
