@@ -85,6 +85,10 @@ contains
     batch%options = options
     batch%log = log
     batch%began = wall_seconds()
+    if (request%study%record == 'runs') then
+      call fail(error, exit_input, 'study/record: seen ''runs'', which is not available yet; allowed: ''table''')
+      return
+    end if
     call new_design(batch%design, request, error)
     if (allocated(error)) return
     if (options%shards > 1 .and. allocated(request%search)) then
