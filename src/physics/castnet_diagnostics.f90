@@ -81,7 +81,7 @@ contains
   !> Sum of k (l - l0)**2/2 over the taut cables, k = EA/l0 [J].
   pure real(wp) function elastic_energy(net, position) result(energy)
     type(net_t), intent(in) :: net
-    real(wp), intent(in) :: position(:, :)  !! (n_pad,3) [m]
+    real(wp), intent(in), contiguous :: position(:, :)  !! (n_pad,3) [m]; else each guard would copy it
     real(wp) :: largest
     call survey_net(net, position, position, energy, largest)
   end function elastic_energy
