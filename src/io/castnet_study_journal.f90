@@ -28,8 +28,8 @@ module castnet_study_journal
 
 contains
 
-  !> What makes two studies the same: their text and their scene's. The number of runs a
-  !> point has and where results go may change, a case is the same whatever they are.
+  !> What makes two studies the same: every character of their text and their scene's. A
+  !> case is known by its number, and more runs a point would number the cases anew.
   pure integer(i8) function study_identity(text)
     character(len=*), intent(in) :: text
     study_identity = checksum(text)

@@ -13,7 +13,7 @@ module castnet_stepper
   private
   public :: work_t, timings_t, new_work, advance, meet, settle
 
-  !> Nodes from which threads inside one run pay (docs/performance.md).
+  !> Nodes from which one run uses threads: an estimate, not yet measured (docs/performance.md).
   integer, parameter :: nodes_worth_threads = 4096
 
   !> Time spent in the stages of a step, where it is wanted.
