@@ -18,6 +18,12 @@
  * These few writes are done by a short-lived child process that shares this one's
  * memory, so that a kill of this process does not even come between them.
  *
+ * A reader asks for the file's length and then reads the superblock. If a commit comes
+ * between the two, the end that it reads lies behind the length it was told, and it calls
+ * the file truncated (seen once on a slow machine). So while the file is open it is kept
+ * longer than its end by a hole of `slack` bytes, which takes no room on the disk; close
+ * cuts it off. Readers allow a file to be longer than its end.
+ *
  * One writer, no locks: castnet's own lock file sees to that.
  */
 #define _GNU_SOURCE
@@ -29,12 +35,16 @@
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/resource.h>
 #include <sys/stat.h>
 #include <sys/wait.h>
 #include <unistd.h>
 #if H5_VERSION_GE(1, 13, 0)
 #include <H5FDdevelop.h>
 #endif
+
+/* More than one commit lets a usual file grow by [B]. */
+static const haddr_t slack = (haddr_t)1 << 22;
 
 typedef struct {
     haddr_t address;
@@ -47,7 +57,8 @@ typedef struct {
     H5FD_t pub; /* HDF5's own part, first */
     int fd;
     haddr_t eoa;       /* end of what HDF5 has allocated */
-    haddr_t eof;       /* end of the file on the disk */
+    haddr_t eof;       /* end of what is written */
+    haddr_t length;    /* of the file on the disk, the hole behind its end included */
     haddr_t known_end; /* end that readers know: what lies behind is free to write */
     dev_t device;
     ino_t inode;
@@ -127,24 +138,37 @@ static void forget_waiting(safe_file_t *file)
     file->n_waiting = 0;
 }
 
-/* Make what readers see the same as what HDF5 means. */
+static int set_length(safe_file_t *file, haddr_t length)
+{
+    if (file->length == length) return 0;
+    if (ftruncate(file->fd, (off_t)length) != 0) return errno;
+    file->length = length;
+    return 0;
+}
+
+/* Bytes that the hole may have: none where a limit on the size of files would be hit. */
+static haddr_t hole(const safe_file_t *file)
+{
+    struct rlimit limit;
+    if (getrlimit(RLIMIT_FSIZE, &limit) != 0 || limit.rlim_cur == RLIM_INFINITY) return slack;
+    return file->eoa + 2 * slack < (haddr_t)limit.rlim_cur ? slack : 0;
+}
+
+/* Make what readers see the same as what HDF5 means. The hole is made anew when half of it
+ * has been written to; a file system that refuses it goes without. */
 static int commit(safe_file_t *file)
 {
     int status = 0;
-    if (file->eof < file->eoa) {
-        if (ftruncate(file->fd, (off_t)file->eoa) != 0) return errno;
-        file->eof = file->eoa;
-    }
+    if (file->length < file->eoa + slack / 2 && hole(file) > 0) (void)set_length(file, file->eoa + slack);
+    if (file->length < file->eoa) status = set_length(file, file->eoa);
+    if (status != 0) return status;
+    file->eof = file->eoa;
     if (file->n_waiting > 0) {
         qsort(file->waiting, file->n_waiting, sizeof *file->waiting, compare_waiting);
         status = write_waiting_in_child(file);
     }
     if (status != 0) return status;
     forget_waiting(file);
-    if (file->eof > file->eoa) {
-        if (ftruncate(file->fd, (off_t)file->eoa) != 0) return errno;
-        file->eof = file->eoa;
-    }
     file->known_end = file->eoa;
     return 0;
 }
@@ -197,6 +221,20 @@ static int keep(safe_file_t *file, H5FD_mem_t type, haddr_t address, size_t n, c
 
 /* ---- what HDF5 calls ------------------------------------------------------------- */
 
+/* The end that a file's superblock tells (versions 0, 2 and 3; `length` where it is of no
+ * such file or ends before): behind it may be the hole that a killed writer left. */
+static haddr_t stored_end(int fd, haddr_t length)
+{
+    static const unsigned char signature[8] = {0x89, 'H', 'D', 'F', '\r', '\n', 0x1a, '\n'};
+    unsigned char block[48];
+    haddr_t end = 0;
+    if (pread(fd, block, sizeof block, 0) != sizeof block || memcmp(block, signature, 8) != 0) return length;
+    int at = block[8] == 0 ? 40 : block[8] == 2 || block[8] == 3 ? 28 : -1;
+    if (at < 0 || block[at == 40 ? 13 : 9] != 8) return length;
+    for (int i = 7; i >= 0; i--) end = end << 8 | block[at + i];
+    return end > 0 && end < length ? end : length;
+}
+
 static H5FD_t *safe_open(const char *name, unsigned flags, hid_t fapl, haddr_t maxaddr)
 {
     struct stat s;
@@ -215,7 +253,8 @@ static H5FD_t *safe_open(const char *name, unsigned flags, hid_t fapl, haddr_t m
         return NULL;
     }
     file->fd = fd;
-    file->eof = file->known_end = (haddr_t)s.st_size;
+    file->length = (haddr_t)s.st_size;
+    file->eof = file->known_end = stored_end(fd, file->length);
     file->device = s.st_dev;
     file->inode = s.st_ino;
     return &file->pub;
@@ -225,6 +264,7 @@ static herr_t safe_close(H5FD_t *pub)
 {
     safe_file_t *file = (safe_file_t *)pub;
     int status = commit(file);
+    if (status == 0) status = set_length(file, file->eoa);
     forget_waiting(file);
     free(file->waiting);
     if (close(file->fd) != 0 && status == 0) status = errno;
@@ -307,6 +347,7 @@ static herr_t safe_write(H5FD_t *pub, H5FD_mem_t type, hid_t dxpl, haddr_t addre
     if (address >= file->known_end) {
         status = write_at(file->fd, buffer, n, address);
         if (status == 0 && address + n > file->eof) file->eof = address + n;
+        if (file->length < file->eof) file->length = file->eof;
     } else {
         status = keep(file, type, address, n, buffer);
     }
@@ -329,10 +370,8 @@ static herr_t safe_truncate(H5FD_t *pub, hid_t dxpl, hbool_t closing)
     safe_file_t *file = (safe_file_t *)pub;
     (void)dxpl;
     (void)closing;
-    if (file->eof < file->eoa) {
-        if (ftruncate(file->fd, (off_t)file->eoa) != 0) return -1;
-        file->eof = file->eoa;
-    }
+    if (file->length < file->eoa && set_length(file, file->eoa) != 0) return -1;
+    file->eof = file->eoa;
     return 0;
 }
 

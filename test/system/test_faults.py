@@ -397,6 +397,23 @@ def check_files(folder: Path) -> None:
         process.communicate()
         check("files: a reader may hold the file open while it is written", process.returncode == 0 and early < 151,
               process.returncode)
+    output.unlink()
+    process = start((CUBESAT[0], ["time/step=2.0e-5", "time/end_time=0.3", "output/verdict_times=0.3",
+                                  "output/frame_interval=0.001"]), output)
+    part = beside(output, ".part")
+    wait_for(lambda: part.exists())
+    times, refused_openings = 0, []
+    while process.poll() is None:
+        try:
+            with open(part, "rb") as held, h5py.File(held, "r") as file:
+                times += file["time"].shape[0] > 0
+        except FileNotFoundError:
+            break
+        except OSError as problem:
+            refused_openings.append(problem)
+    process.communicate()
+    check("files: a reader may open the file at any moment while it is written", times > 0 and not refused_openings,
+          (times, refused_openings[:2]))
     link = folder / "link.h5.part"
     victim = folder / "victim.txt"
     victim.write_text("precious")
