@@ -16,7 +16,7 @@ module castnet_contact_event
   use castnet_contact_response, only: contact_solver_t, reserve_solver, resolve_contacts, resolve_depths
   use castnet_contact_projection, only: cable_incidence_t, new_incidence, energy_of_moved_cables, move_nodes
   use castnet_contact_horizon, only: earliest_contact_time
-  use castnet_fast_nodes, only: fast_nodes_t, new_fast_nodes, catch_fast, release_fast
+  use castnet_fast_nodes, only: fast_nodes_t, new_fast_nodes, look_for_fast, catch_fast, release_fast
   implicit none
   private
   public :: contact_work_t, new_contact_work, handle_contacts, detect_contacts, body_inertia
@@ -35,6 +35,7 @@ module castnet_contact_event
   type :: contact_work_t
     logical :: acted = .false.                 !! the last call changed velocities or positions
     logical :: engaged = .false.               !! something was near at the last call; saves the box test
+    logical :: placed = .false.                !! y and outside are of now
     type(contact_list_t) :: list
     type(near_list_t) :: near
     type(contact_solver_t) :: solver
@@ -87,24 +88,30 @@ contains
     type(state_t), intent(inout) :: state
     type(contact_work_t), intent(inout) :: work
     type(error_t), allocatable, intent(inout) :: error
+    real(wp) :: r(3, 3)
     work%acted = .false.
     if (is_compliant(model)) call watch_springs(model, state, work)
     if (.not. is_modelled(model)) return
     if (state%time < state%skip_contact_until) return
-    call catch_fast(model, state, work%radius, work%fast, work%incidence)
-    call meet_at_end(model, state, work)
+    call look_for_fast(model, state, work%radius, work%fast)
+    call place_nodes(model, state, work, r)
+    if (work%placed .and. work%fast%possible) then
+      call catch_fast(model, state, r, work%radius, work%outside, work%fast, work%incidence)
+      if (work%fast%n > 0) call place_nodes(model, state, work, r)
+    end if
+    call meet_at_end(model, state, work, r)
     if (work%fast%n == 0) return
     call release_fast(model, state, work%fast, work%incidence)
     work%acted = .true.
   end subroutine handle_contacts
 
   !> The contacts of this instant, detected, resolved and put back.
-  subroutine meet_at_end(model, state, work)
+  subroutine meet_at_end(model, state, work, r)
     type(model_t), intent(in) :: model
     type(state_t), intent(inout) :: state
     type(contact_work_t), intent(inout) :: work
-    real(wp) :: r(3, 3)
-    call detect_contacts(model, state, work, r)
+    real(wp), intent(inout) :: r(3, 3)         !! the target's attitude
+    call list_contacts(model, state, work, r)
     if (.not. work%engaged) then
       if (mod(state%step, horizon_stride) == 0_i8) state%skip_contact_until = earliest_contact_time(model, state)
       return
@@ -124,18 +131,44 @@ contains
     type(state_t), intent(in) :: state
     type(contact_work_t), intent(inout) :: work
     real(wp), intent(out) :: r(3, 3)
-    real(wp) :: lower(3), upper(3), rate(3), move
-    work%list%n = 0
+    work%fast%way = 0.0_wp
+    call place_nodes(model, state, work, r)
+    call list_contacts(model, state, work, r)
+  end subroutine detect_contacts
+
+  !> The nodes in body axes, and their distance from the body's box; not while the net is
+  !> clear of the body by more than a node can have moved within the step.
+  subroutine place_nodes(model, state, work, r)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(in) :: state
+    type(contact_work_t), intent(inout) :: work
+    real(wp), intent(out) :: r(3, 3)           !! the target's attitude; 0 where nothing was placed
+    real(wp) :: lower(3), upper(3)
+    work%placed = .false.
     r = 0.0_wp
-    associate (net => model%net, body => state%target, threshold => model%contact%threshold, near => work%near, &
-               with_cables => model%contact%detect_cables)
+    associate (net => model%net, body => state%target)
       if (.not. work%engaged) then
         call net_box(net%n_node, net%n_pad, state%node_position, lower, upper)
-        if (boxes_apart(lower, upper, body%position, work%radius + threshold)) return
+        if (boxes_apart(lower, upper, body%position, work%radius + model%contact%threshold + work%fast%way)) return
       end if
       r = rotation_matrix(body%attitude)
       call into_body_axes(net%n_node, net%n_pad, state%node_position, body%position, r, work%middle, work%half, &
                           work%y, work%outside)
+      work%placed = .true.
+    end associate
+  end subroutine place_nodes
+
+  !> The contacts of placed nodes.
+  subroutine list_contacts(model, state, work, r)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(in) :: state
+    type(contact_work_t), intent(inout) :: work
+    real(wp), intent(in) :: r(3, 3)
+    real(wp) :: rate(3), move
+    work%list%n = 0
+    if (.not. work%placed) return
+    associate (net => model%net, body => state%target, threshold => model%contact%threshold, near => work%near, &
+               with_cables => model%contact%detect_cables)
       move = huge(1.0_wp)
       if (near%built) move = largest_move(net%n_node, net%n_pad, work%y, near%reference)
       if (move > near%skin) then
@@ -156,7 +189,7 @@ contains
       if (.not. model%target%fixed) rate(2) = rate(2) + model%orbit_rate
       call set_velocities(net%n_pad, state%node_velocity, body%velocity, rate, work%list)
     end associate
-  end subroutine detect_contacts
+  end subroutine list_contacts
 
   !> The target's inertia in inertial axes.
   pure function body_inertia(model, r) result(body)

@@ -14,18 +14,20 @@
 !> What other forces did to its velocity after it entered is reflected with the rest: a
 !> bounce is exact without them and of first order in the step with them.
 !>
-!> Costs one pass over the velocities while no node is that fast. Cables are not followed.
+!> Costs one pass over the velocities while no node is that fast, and else one more over the
+!> distances from the body's box. What passes both sieves is sieved by exact distances: a
+!> signed distance changes by no more than its point moves. Cables are not followed.
 module castnet_fast_nodes
   use castnet_kinds, only: wp
   use castnet_contact_projection, only: cable_incidence_t, energy_of_cables_at
   use castnet_model, only: model_t
-  use castnet_rotation, only: rotation_matrix, multiply, multiply_transposed
-  use castnet_shape, only: signed_distance, swept_contact
+  use castnet_rotation, only: multiply, multiply_transposed
+  use castnet_shape, only: signed_distance, signed_distance_within, swept_contact
   use castnet_state, only: state_t
   use castnet_vector, only: cross
   implicit none
   private
-  public :: fast_nodes_t, new_fast_nodes, catch_fast, release_fast
+  public :: fast_nodes_t, new_fast_nodes, look_for_fast, catch_fast, release_fast
 
   !> Normals closer than this belong to one side [-].
   real(wp), parameter :: same_side = 0.5_wp
@@ -35,11 +37,17 @@ module castnet_fast_nodes
   !> The nodes caught at this step.
   type :: fast_nodes_t
     integer :: n = 0
-    integer, allocatable :: node(:)            !! (n_node) counted from 1
-    real(wp), allocatable :: rest(:)           !! (n_node) time since the node entered [s]
+    logical :: possible = .false.              !! some node is that fast at this step
+    real(wp) :: way = 0.0_wp                   !! no node that reaches the layer has moved farther against the body [m]
+    real(wp) :: slow = 0.0_wp                  !! squared speed of nodes that need no look [m2/s2]
+    integer, allocatable :: node(:)            !! (n_node) counted from 1; while they are sieved, the candidates
+    real(wp), allocatable :: rest(:)           !! (n_node) time since the node entered [s]; while sieved, its way [m]
     real(wp), allocatable :: back(:, :)        !! (3,n_node) by which it was put back [m]
     real(wp), allocatable :: before(:, :)      !! (3,n_node) its velocity then [m/s]
     real(wp), allocatable :: square(:)         !! (n_node) scratch: squared speeds against the body's centre [m2/s2]
+    real(wp), allocatable :: first(:, :), last(:, :) !! (3,n_node) scratch: ends of the ways, body axes [m]
+    real(wp), allocatable :: distance(:, :)    !! (n_node,2) scratch: there [m]
+    real(wp), allocatable :: normal(:, :)      !! (3,n_node) scratch
     real(wp) :: energy = 0.0_wp                !! elastic, of its cables before it was moved [J]
   end type fast_nodes_t
 
@@ -51,19 +59,20 @@ contains
     integer, intent(in) :: n_node
     allocate (fast%node(n_node), source=0)
     allocate (fast%rest(n_node), fast%back(3, n_node), fast%before(3, n_node), fast%square(n_node), source=0.0_wp)
+    allocate (fast%first(3, n_node), fast%last(3, n_node), fast%normal(3, n_node), source=0.0_wp)
+    allocate (fast%distance(n_node, 2), source=0.0_wp)
   end subroutine new_fast_nodes
 
-  !> Put nodes that crossed within the last step back to where they entered the layer.
-  subroutine catch_fast(model, state, radius, fast, incidence)
+  !> Is any node fast enough to cross, and how far may one have come within the step?
+  subroutine look_for_fast(model, state, radius, fast)
     type(model_t), intent(in) :: model
-    type(state_t), intent(inout) :: state
+    type(state_t), intent(in) :: state
     real(wp), intent(in) :: radius             !! bounding radius of the target [m]
     type(fast_nodes_t), intent(inout) :: fast
-    type(cable_incidence_t), intent(inout) :: incidence
-    real(wp) :: r(3, 3), rate(3), arm(3), u(3), way, spin, p0(3), p1(3), hit(3), top, reach, slow
-    logical :: crossed
-    integer :: i, k
+    real(wp) :: spin, top, reach
     fast%n = 0
+    fast%way = 0.0_wp
+    fast%possible = .false.
     if (state%step == 0) return
     associate (net => model%net, body => state%target, threshold => model%contact%threshold)
       spin = sqrt(body%angular_velocity(1)**2 + body%angular_velocity(2)**2 + body%angular_velocity(3)**2) + abs(model%orbit_rate)
@@ -72,31 +81,43 @@ contains
       ! centre, so its way is at most h (|v - V| + spin reach): slower ones need no look.
       if (model%step*spin < 0.5_wp) then
         reach = (radius + threshold + model%step*sqrt(top))/(1.0_wp - model%step*spin)
-        slow = threshold/model%step - spin*reach
-        if (sqrt(top) <= slow) return
-        slow = sign(slow*slow, slow)
+        fast%way = model%step*(sqrt(top) + spin*reach)
+        if (fast%way <= threshold) return
+        fast%slow = threshold/model%step - spin*reach
+        fast%slow = sign(fast%slow*fast%slow, fast%slow)
       else
-        slow = -1.0_wp
+        fast%way = 1.0e30_wp
+        fast%slow = -1.0_wp
       end if
-      r = rotation_matrix(body%attitude)
-      rate = multiply(r, body%angular_velocity)
-      if (.not. model%target%fixed) rate(2) = rate(2) + model%orbit_rate
-      do i = 1, net%n_node
-        if (fast%square(i) <= slow) cycle
-        if (net%inverse_mass(i) <= 0.0_wp) cycle
-        arm = [state%node_position(i, 1), state%node_position(i, 2), state%node_position(i, 3)] - body%position
-        u = [state%node_velocity(i, 1), state%node_velocity(i, 2), state%node_velocity(i, 3)] - body%velocity - cross(rate, arm)
-        way = model%step*sqrt(u(1)*u(1) + u(2)*u(2) + u(3)*u(3))
-        if (way <= threshold) cycle
-        if (sqrt(arm(1)*arm(1) + arm(2)*arm(2) + arm(3)*arm(3)) - way > radius + threshold) cycle
-        p1 = multiply_transposed(r, arm)
-        p0 = p1 - model%step*multiply_transposed(r, u)
-        call follow(model, p0, p1, crossed, hit, way)
+      fast%possible = .true.
+    end associate
+  end subroutine look_for_fast
+
+  !> Put nodes that crossed within the last step back to where they entered the layer.
+  subroutine catch_fast(model, state, r, radius, outside, fast, incidence)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(inout) :: state
+    real(wp), intent(in) :: r(3, 3)            !! body to inertial
+    real(wp), intent(in) :: radius             !! bounding radius of the target [m]
+    real(wp), intent(in) :: outside(:)         !! (n_pad) distance of each node from the body's box, or less [m]
+    type(fast_nodes_t), intent(inout) :: fast
+    type(cable_incidence_t), intent(inout) :: incidence
+    real(wp) :: hit(3), fraction
+    logical :: crossed
+    integer :: i, k, n
+    fast%n = 0
+    if (.not. fast%possible) return
+    call list_ways(model, state, r, radius, outside, fast, n)
+    call sieve_ways(model, fast, n)
+    associate (net => model%net)
+      do k = 1, n
+        call follow(model, fast%first(:, k), fast%last(:, k), crossed, hit, fraction)
         if (.not. crossed) cycle
+        i = fast%node(k)
         fast%n = fast%n + 1
         fast%node(fast%n) = i
-        fast%rest(fast%n) = (1.0_wp - way)*model%step
-        fast%back(:, fast%n) = multiply(r, p1 - hit)
+        fast%rest(fast%n) = (1.0_wp - fraction)*model%step
+        fast%back(:, fast%n) = multiply(r, fast%last(:, k) - hit)
         fast%before(:, fast%n) = [state%node_velocity(i, 1), state%node_velocity(i, 2), state%node_velocity(i, 3)]
       end do
       if (fast%n == 0) return
@@ -107,6 +128,75 @@ contains
       end do
     end associate
   end subroutine catch_fast
+
+  !> The ways, in body axes, of fast nodes that end near enough to have been in the layer.
+  subroutine list_ways(model, state, r, radius, outside, fast, n)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(in) :: state
+    real(wp), intent(in) :: r(3, 3), radius, outside(:)
+    type(fast_nodes_t), intent(inout) :: fast
+    integer, intent(out) :: n
+    real(wp) :: rate(3), arm(3), u(3), way, reach
+    integer :: i
+    n = 0
+    associate (net => model%net, body => state%target, threshold => model%contact%threshold)
+      rate = multiply(r, body%angular_velocity)
+      if (.not. model%target%fixed) rate(2) = rate(2) + model%orbit_rate
+      reach = (threshold + fast%way)*(1.0_wp + 1.0e-9_wp)
+      do i = 1, net%n_node
+        if (outside(i) > reach .or. fast%square(i) <= fast%slow) cycle
+        if (net%inverse_mass(i) <= 0.0_wp) cycle
+        arm = [state%node_position(i, 1), state%node_position(i, 2), state%node_position(i, 3)] - body%position
+        u = [state%node_velocity(i, 1), state%node_velocity(i, 2), state%node_velocity(i, 3)] - body%velocity - cross(rate, arm)
+        way = model%step*sqrt(u(1)*u(1) + u(2)*u(2) + u(3)*u(3))
+        if (way <= threshold) cycle
+        if (sqrt(arm(1)*arm(1) + arm(2)*arm(2) + arm(3)*arm(3)) - way > radius + threshold) cycle
+        n = n + 1
+        fast%node(n) = i
+        fast%rest(n) = way
+        fast%last(:, n) = multiply_transposed(r, arm)
+        fast%first(:, n) = fast%last(:, n) - model%step*multiply_transposed(r, u)
+      end do
+    end associate
+  end subroutine list_ways
+
+  !> Drop the ways that cannot have entered the layer from outside: those that end, or
+  !> begin and end, too far from the body, and those that begin within the layer.
+  subroutine sieve_ways(model, fast, n)
+    type(model_t), intent(in) :: model
+    type(fast_nodes_t), intent(inout) :: fast
+    integer, intent(inout) :: n
+    real(wp) :: longest
+    integer :: k, kept
+    if (n == 0) return
+    associate (threshold => model%contact%threshold)
+      longest = maxval(fast%rest(1:n))
+      call signed_distance_within(model%target%shape, threshold + longest, n, fast%last, fast%distance(:, 1), fast%normal)
+      kept = 0
+      do k = 1, n
+        if (fast%distance(k, 1) > threshold + fast%rest(k)) cycle
+        kept = kept + 1
+        fast%node(kept) = fast%node(k)
+        fast%rest(kept) = fast%rest(k)
+        fast%distance(kept, 1) = fast%distance(k, 1)
+        fast%first(:, kept) = fast%first(:, k)
+        fast%last(:, kept) = fast%last(:, k)
+      end do
+      n = kept
+      if (n == 0) return
+      call signed_distance_within(model%target%shape, threshold + 2.0_wp*longest, n, fast%first, fast%distance(:, 2), fast%normal)
+      kept = 0
+      do k = 1, n
+        if (fast%distance(k, 2) <= inside*threshold) cycle
+        if (fast%distance(k, 1) + fast%distance(k, 2) > 2.0_wp*threshold + fast%rest(k)) cycle
+        kept = kept + 1
+        fast%node(kept) = fast%node(k)
+        fast%first(:, kept) = fast%first(:, k)
+        fast%last(:, kept) = fast%last(:, k)
+      end do
+      n = kept
+    end associate
+  end subroutine sieve_ways
 
   !> The rest of the way, for nodes and body.
   subroutine release_fast(model, state, fast, incidence)
