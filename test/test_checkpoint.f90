@@ -117,13 +117,14 @@ contains
   subroutine test_round_trip()
     type(state_t) :: state, back
     type(error_t), allocatable :: error
-    character(len=:), allocatable :: scene, warning
+    character(len=:), allocatable :: scene, contents, warning
     call fill(state)
-    call write_checkpoint(output(), state, "&net"//new_line('a')//"/", error)
-    call read_checkpoint(checkpoint_path(output()), back, scene, warning, error)
+    call write_checkpoint(output(), state, "&net"//new_line('a')//"/", 'net/file: 3', error)
+    call read_checkpoint(checkpoint_path(output()), back, scene, contents, warning, error)
     call expect(.not. allocated(error), 'no error')
     call expect(.not. allocated(warning), 'no warning')
     call expect_equal(scene, "&net"//new_line('a')//"/", 'the scene')
+    call expect_equal(contents, 'net/file: 3', 'the contents of its files')
     call expect_equal(path_kind(output()//'.tmp'), path_nothing, 'OUTPUT.tmp afterwards')
     call expect(back%step == state%step .and. back%force_evaluations == state%force_evaluations, 'counters')
     call expect(same_bits([back%time, back%first_contact, back%skip_contact_until], &
@@ -158,9 +159,9 @@ contains
   subroutine test_bare_state()
     type(state_t) :: state, back
     type(error_t), allocatable :: error
-    character(len=:), allocatable :: scene, warning
-    call write_checkpoint(output(), state, '', error)
-    call read_checkpoint(checkpoint_path(output()), back, scene, warning, error)
+    character(len=:), allocatable :: scene, contents, warning
+    call write_checkpoint(output(), state, '', '', error)
+    call read_checkpoint(checkpoint_path(output()), back, scene, contents, warning, error)
     call expect(.not. allocated(error) .and. .not. allocated(warning), 'read')
     call expect(.not. allocated(back%node_position) .and. .not. allocated(back%target) .and. &
                 .not. allocated(back%closing) .and. .not. allocated(back%impulse_histogram) .and. &
@@ -173,10 +174,10 @@ contains
   subroutine test_damage()
     type(state_t) :: state, back
     type(error_t), allocatable :: error
-    character(len=:), allocatable :: scene, warning, bytes, broken
+    character(len=:), allocatable :: scene, contents, warning, bytes, broken
     integer :: i, n_cut, n_flip, n_seen_cut, n_seen_flip
     state%time = 0.5_wp
-    call write_checkpoint(output(), state, '&net', error)
+    call write_checkpoint(output(), state, '&net', '', error)
     n_seen_cut = read_file(checkpoint_path(output()), bytes)
     call clean()
     n_cut = 0; n_flip = 0; n_seen_cut = 0; n_seen_flip = 0
@@ -205,7 +206,7 @@ contains
       if (allocated(error)) deallocate (error)
       ignored = remove_file(output()//'.checkpoint')
       ignored = create_file(output()//'.checkpoint', content)
-      call read_checkpoint(output()//'.checkpoint', back, scene, warning, error)
+      call read_checkpoint(output()//'.checkpoint', back, scene, contents, warning, error)
       if (allocated(error)) then
         if (error%code == exit_file) count = count + 1
       end if
@@ -217,24 +218,24 @@ contains
   subroutine test_previous()
     type(state_t) :: state, back
     type(error_t), allocatable :: error
-    character(len=:), allocatable :: scene, warning, bytes
+    character(len=:), allocatable :: scene, contents, warning, bytes
     integer :: ignored
     state%step = 1
-    call write_checkpoint(output(), state, 's', error)
+    call write_checkpoint(output(), state, 's', '', error)
     call expect_equal(path_kind(output()//'.checkpoint.previous'), path_nothing, 'no previous one yet')
     state%step = 2
-    call write_checkpoint(output(), state, 's', error)
+    call write_checkpoint(output(), state, 's', '', error)
     call expect_equal(path_kind(output()//'.checkpoint.previous'), path_file, 'the previous one')
     ignored = read_file(output()//'.checkpoint', bytes)
     ignored = remove_file(output()//'.checkpoint')
-    call read_checkpoint(output()//'.checkpoint', back, scene, warning, error)
+    call read_checkpoint(output()//'.checkpoint', back, scene, contents, warning, error)
     call expect(.not. allocated(error) .and. allocated(warning), 'a missing one: the previous with a warning')
     call expect(back%step == 1, 'its state')
     ignored = create_file(output()//'.checkpoint', bytes(1:len(bytes)/2))
-    call read_checkpoint(output()//'.checkpoint', back, scene, warning, error)
+    call read_checkpoint(output()//'.checkpoint', back, scene, contents, warning, error)
     call expect(.not. allocated(error) .and. allocated(warning), 'a cut one: the previous with a warning')
     call clean()
-    call read_checkpoint(output()//'.checkpoint', back, scene, warning, error)
+    call read_checkpoint(output()//'.checkpoint', back, scene, contents, warning, error)
     call expect(allocated(error), 'none at all: an error')
     call clean()
   end subroutine test_previous
@@ -242,7 +243,7 @@ contains
   subroutine test_no_folder()
     type(state_t) :: state
     type(error_t), allocatable :: error
-    call write_checkpoint('/tmp/castnet_no_such_folder/a.h5', state, '', error)
+    call write_checkpoint('/tmp/castnet_no_such_folder/a.h5', state, '', '', error)
     call expect(allocated(error), 'an error')
     if (allocated(error)) call expect_equal(error%code, exit_file, 'exit code')
   end subroutine test_no_folder

@@ -1,7 +1,7 @@
 !> Locks, refusals before a run starts, and the words for the operating system.
 module test_output_files
   use castnet_kinds, only: wp, i8
-  use castnet_error, only: error_t, exit_file, exit_done
+  use castnet_error, only: error_t, exit_file, exit_done, exit_input
   use castnet_text, only: to_text, text_t
   use castnet_posix, only: create_file, read_file, remove_file, path_kind, path_nothing, path_file, process_id, host_name, &
                            process_start, time_stamp, wall_seconds, peak_memory, physical_memory, free_space, &
@@ -102,7 +102,11 @@ contains
     call try(output(), none, .true., .false., '')
     call try(output(), none, .false., .true., '')
     scene(1)%chars = output()
-    call try(output(), scene, .true., .false., 'that the run reads')
+    call try(output(), scene, .true., .false., 'that is read here', exit_input)
+    scene(1)%chars = output()//'.tmp'
+    ignored = create_file(output()//'.tmp', 'data')
+    call try(output(), scene, .true., .true., 'that is read here', exit_input)
+    ignored = remove_file(output()//'.tmp')
     ignored = create_file(output()//'.part', 'data')
     call try(output(), none, .false., .true., 'both')
     ignored = remove_file(output())
@@ -116,16 +120,20 @@ contains
 
   contains
 
-    subroutine try(path, inputs, force, restarting, words)
+    subroutine try(path, inputs, force, restarting, words, code)
       character(len=*), intent(in) :: path, words
       type(text_t), intent(in) :: inputs(:)
       logical, intent(in) :: force, restarting
+      integer, intent(in), optional :: code   !! exit_file
+      integer :: expected
       type(error_t), allocatable :: error
+      expected = exit_file
+      if (present(code)) expected = code
       call check_output(path, inputs, force, restarting, error)
       if (len(words) == 0) then
         if (allocated(error)) call expect(.false., 'accepted; seen: '//error%message)
       else if (allocated(error)) then
-        call expect_equal(error%code, exit_file, 'exit code')
+        call expect_equal(error%code, expected, 'exit code')
         call expect(index(error%message, words) > 0, 'it says "'//words//'": '//error%message)
       else
         call expect(.false., 'refused with "'//words//'"')

@@ -3,14 +3,15 @@ module castnet_accuracy_command
   use castnet_accuracy, only: accuracy_t, measure_accuracy
   use castnet_accuracy_table, only: write_accuracy, accuracy_sentence
   use castnet_command_line, only: options_t
-  use castnet_error, only: error_t, fail, exit_input
+  use castnet_error, only: error_t
   use castnet_log, only: log_t, new_log, log_note
-  use castnet_posix, only: path_kind, path_nothing
+  use castnet_output_files, only: check_output, check_csv
   use castnet_scene, only: scene_t
   use castnet_scene_file, only: read_scene
+  use castnet_scene_files, only: scene_files
   use castnet_scene_text, only: effective_scene
   use castnet_terminal, only: say, warn_lines
-  use castnet_text, only: without_extension
+  use castnet_text, only: text_t, without_extension
   use castnet_version, only: version_number, git_commit
   implicit none
   private
@@ -26,16 +27,17 @@ contains
     type(scene_t) :: scene
     type(accuracy_t) :: result
     type(log_t) :: log
+    type(text_t), allocatable :: inputs(:)
     character(len=:), allocatable :: warnings, path
     call read_scene(options%files(1)%chars, options%overrides, scene, warnings, error)
     if (allocated(error)) return
     call warn_lines(warnings)
     path = without_extension(scene%path)//'.accuracy.h5'
     if (allocated(options%output)) path = options%output
-    if (path_kind(path) /= path_nothing .and. .not. options%force) then
-      call fail(error, exit_input, '--output: '//path//' exists; --force replaces it')
-      return
-    end if
+    call scene_files(scene, inputs)
+    call check_output(path, inputs, options%force, .false., error)
+    call check_csv(path, inputs, error)
+    if (allocated(error)) return
     call new_log(log, options%quiet, .not. options%no_progress)
     call measure_accuracy(scene, max(1, options%threads), log, result, error)
     if (allocated(error)) return

@@ -7,12 +7,13 @@ module castnet_run_command
   use castnet_log, only: log_t, new_log
   use castnet_run_report, only: report_result, report_ledger, report_timings
   use castnet_runner, only: run_options_t, run_ledger_t, run_scene
-  use castnet_scene, only: scene_t, path_length
+  use castnet_scene, only: scene_t
   use castnet_scene_file, only: read_scene
+  use castnet_scene_files, only: scene_files
   use castnet_scene_text, only: effective_scene
   use castnet_simulation, only: simulation_t
   use castnet_terminal, only: warn_lines
-  use castnet_text, only: path_beside, text_t
+  use castnet_text, only: path_beside
   use castnet_version, only: version_number, git_commit, compiler_name, compiler_flags
   implicit none
   private
@@ -44,7 +45,7 @@ contains
     run%version = version_number//' '//git_commit()
     run%compiler = compiler_name()
     run%flags = compiler_flags()
-    call input_files(scene, options%restart, run%inputs)
+    call scene_files(scene, run%inputs)
     call new_log(log, options%quiet, .not. options%no_progress)
     call run_scene(scene, effective_scene(scene), run, log, sim, summary, ledger, error)
     ! When a file failed, that is what is to be seen.
@@ -56,37 +57,6 @@ contains
     if (allocated(error)) return
     call report_result(log, run%output, sim, summary)
   end subroutine run_file
-
-  !> Files that the run reads.
-  subroutine input_files(scene, restart, inputs)
-    type(scene_t), intent(in) :: scene
-    character(len=:), allocatable, intent(in) :: restart  !! a checkpoint, if one is given
-    type(text_t), allocatable, intent(out) :: inputs(:)
-    character(len=path_length) :: names(4)
-    integer :: i, n
-    n = 1
-    names(1) = scene%path
-    if (allocated(restart)) then
-      n = n + 1
-      names(n) = restart
-    end if
-    if (allocated(scene%net)) call add(scene%net%file)
-    if (allocated(scene%target)) call add(scene%target%file)
-    allocate (inputs(n))
-    do i = 1, n
-      inputs(i)%chars = trim(names(i))
-    end do
-
-  contains
-
-    subroutine add(file)
-      character(len=*), intent(in) :: file
-      if (len_trim(file) == 0) return
-      n = n + 1
-      names(n) = path_beside(scene%path, trim(file))
-    end subroutine add
-
-  end subroutine input_files
 
   !> --output wins over the scene; the scene's own path is seen from the scene's folder.
   subroutine output_path(scene, options, path, error)

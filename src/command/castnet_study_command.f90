@@ -2,15 +2,17 @@
 module castnet_study_command
   use castnet_kinds, only: i8
   use castnet_command_line, only: options_t
-  use castnet_error, only: error_t, fail, exit_input
+  use castnet_error, only: error_t
   use castnet_log, only: log_t, new_log, log_result, log_warning
   use castnet_scene, only: scene_t
+  use castnet_output_files, only: check_csv, protect_inputs
   use castnet_scene_file, only: read_scene
+  use castnet_scene_files, only: scene_files
   use castnet_study, only: study_options_t, run_study, collect_study, journal_path
   use castnet_study_file, only: read_study
   use castnet_study_request, only: study_request_t
   use castnet_terminal, only: warn_lines
-  use castnet_text, only: path_beside, without_extension, to_text
+  use castnet_text, only: path_beside, text_t, without_extension, to_text
   use castnet_version, only: version_number, git_commit
   use omp_lib, only: omp_get_max_threads
   implicit none
@@ -77,10 +79,8 @@ contains
     study%output = without_extension(request%path)//'.h5'
     if (len_trim(request%study%file) > 0) study%output = path_beside(request%path, trim(request%study%file))
     if (allocated(options%output)) study%output = options%output
-    if (study%output == request%path .or. study%output == base%path) then
-      call fail(error, exit_input, '--output: seen '//study%output//', which would overwrite an input')
-      return
-    end if
+    call protect_study_inputs(study%output, journal_path(study%output, options%shard, options%shards), request, base, error)
+    if (allocated(error)) return
     study%threads = options%threads
     if (study%threads < 1) study%threads = omp_get_max_threads()
     study%shard = options%shard
@@ -89,5 +89,23 @@ contains
     study%force = options%force
     study%version = version_number//' '//git_commit()
   end subroutine prepare
+
+  !> Neither the table nor the CSV nor the journal may be a file that the study reads.
+  subroutine protect_study_inputs(output, journal, request, base, error)
+    character(len=*), intent(in) :: output, journal
+    type(study_request_t), intent(in) :: request
+    type(scene_t), intent(in) :: base
+    type(error_t), allocatable, intent(inout) :: error
+    type(text_t), allocatable :: inputs(:)
+    type(text_t) :: own(1)
+    call scene_files(base, inputs)
+    own(1)%chars = request%path
+    call protect_inputs(output, [character(len=4) :: '', '.tmp'], inputs, error)
+    call protect_inputs(output, [character(len=4) :: '', '.tmp'], own, error)
+    call protect_inputs(journal, [character(len=5) :: '', '.lock'], inputs, error)
+    call protect_inputs(journal, [character(len=5) :: '', '.lock'], own, error)
+    call check_csv(output, inputs, error)
+    call check_csv(output, own, error)
+  end subroutine protect_study_inputs
 
 end module castnet_study_command

@@ -1,4 +1,5 @@
-!> Checkpoints: the whole of `state_t`, to the bit, and the scene that it belongs to.
+!> Checkpoints: the whole of `state_t`, to the bit, and the scene that it belongs to with
+!> the checksums of the files that the scene reads.
 !>
 !> A format of our own rather than HDF5: a few dozen arrays that nobody plots, written in
 !> one call whose every failure the system reports at once, covered by one checksum, and
@@ -41,17 +42,18 @@ contains
   end function checkpoint_path
 
   !> Write OUTPUT.checkpoint. On an error the one that was there is still there.
-  subroutine write_checkpoint(output, state, effective_scene, error)
+  subroutine write_checkpoint(output, state, effective_scene, contents, error)
     character(len=*), intent(in) :: output            !! OUTPUT: the checkpoint stands beside it
     type(state_t), intent(in) :: state
     character(len=*), intent(in) :: effective_scene   !! every group and key with its value
+    character(len=*), intent(in) :: contents          !! of the files that the scene reads
     type(error_t), allocatable, intent(inout) :: error
     character(len=:), allocatable :: bytes, seen, aside, path
     integer :: number, ignored
     if (allocated(error)) return
     path = checkpoint_path(output)
     aside = output//'.tmp'
-    bytes = packed(state, effective_scene)
+    bytes = packed(state, effective_scene, contents)
     ignored = remove_file(aside)
     number = create_file(aside, bytes)
     if (number /= 0) then
@@ -89,17 +91,17 @@ contains
 
   !> Read a checkpoint; if it is damaged or missing the previous one, with a warning.
   !> Errors: exit_file when neither is good.
-  subroutine read_checkpoint(path, state, effective_scene, warning, error)
+  subroutine read_checkpoint(path, state, effective_scene, contents, warning, error)
     character(len=*), intent(in) :: path                           !! FILE of --restart FILE
     type(state_t), intent(out) :: state
-    character(len=:), allocatable, intent(out) :: effective_scene
+    character(len=:), allocatable, intent(out) :: effective_scene, contents
     character(len=:), allocatable, intent(out) :: warning          !! allocated when the previous one was used
     type(error_t), allocatable, intent(inout) :: error
     character(len=:), allocatable :: problem, second
     if (allocated(error)) return
-    call read_one(path, state, effective_scene, problem)
+    call read_one(path, state, effective_scene, contents, problem)
     if (.not. allocated(problem)) return
-    call read_one(path//'.previous', state, effective_scene, second)
+    call read_one(path//'.previous', state, effective_scene, contents, second)
     if (allocated(second)) then
       call fail(error, exit_file, "cannot restart from '"//path//"': "//problem//"; its '.previous': "//second// &
                 '; name another checkpoint or run the scene from the start')
@@ -108,10 +110,10 @@ contains
     end if
   end subroutine read_checkpoint
 
-  subroutine read_one(path, state, effective_scene, problem)
+  subroutine read_one(path, state, effective_scene, contents, problem)
     character(len=*), intent(in) :: path
     type(state_t), intent(out) :: state
-    character(len=:), allocatable, intent(out) :: effective_scene, problem
+    character(len=:), allocatable, intent(out) :: effective_scene, contents, problem
     character(len=:), allocatable :: bytes
     integer :: number
     select case (path_kind(path))
@@ -126,21 +128,23 @@ contains
     if (number /= 0) then
       problem = system_words(number)
     else
-      call unpack(bytes, state, effective_scene, problem)
+      call unpack(bytes, state, effective_scene, contents, problem)
     end if
   end subroutine read_one
 
   !> The file's bytes.
-  function packed(state, effective_scene) result(bytes)
+  function packed(state, effective_scene, contents) result(bytes)
     type(state_t), intent(in) :: state
-    character(len=*), intent(in) :: effective_scene
-    character(len=:), allocatable :: bytes, payload, scene
+    character(len=*), intent(in) :: effective_scene, contents
+    character(len=:), allocatable :: bytes, payload, scene, held
     type(archive_t) :: archive
     type(state_t) :: copy
     scene = effective_scene
+    held = contents
     copy = state
     call start_saving(archive)
     call exchange(archive, 'effective_scene', scene)
+    call exchange(archive, 'contents', held)
     call exchange_state(archive, copy)
     payload = archived_bytes(archive)
     bytes = magic//eight(format_version)//eight(len(payload, kind=i8))//eight(checksum(payload))//payload
@@ -152,10 +156,10 @@ contains
     bytes = transfer(value, bytes)
   end function eight
 
-  subroutine unpack(bytes, state, effective_scene, problem)
+  subroutine unpack(bytes, state, effective_scene, contents, problem)
     character(len=*), intent(in) :: bytes
     type(state_t), intent(inout) :: state
-    character(len=:), allocatable, intent(inout) :: effective_scene, problem
+    character(len=:), allocatable, intent(inout) :: effective_scene, contents, problem
     type(archive_t) :: archive
     integer(i8) :: number(3)
     if (len(bytes, kind=i8) < header_length) then
@@ -177,6 +181,7 @@ contains
     if (allocated(problem)) return
     call start_loading(archive, bytes(header_length + 1:))
     call exchange(archive, 'effective_scene', effective_scene)
+    call exchange(archive, 'contents', contents)
     call exchange_state(archive, state)
     if (allocated(archive%problem)) then
       problem = 'it is of another version of castnet: '//archive%problem

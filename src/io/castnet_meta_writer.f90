@@ -17,6 +17,7 @@ module castnet_meta_writer
   !> What /meta says about how the file came to be, and what is known of the run ahead.
   type :: run_info_t
     character(len=:), allocatable :: version, compiler, flags
+    character(len=:), allocatable :: contents     !! of the files that the scene reads, as checksums
     integer :: threads = 1
     logical :: vtk = .true.
     character(len=:), allocatable :: checkpoint   !! that this run goes on from; not allocated: from t = 0
@@ -41,6 +42,7 @@ contains
     call make_group(file, file%root, 'meta', meta, error)
     call write_text(file, meta, 'scene', scene_text, error)
     call write_text(file, meta, 'effective_scene', effective_text, error)
+    call write_text(file, meta, 'contents', known(info%contents), error)
     call write_text(file, meta, 'version', known(info%version), error)
     call write_text(file, meta, 'compiler', known(info%compiler), error)
     call write_text(file, meta, 'flags', known(info%flags), error)

@@ -1,13 +1,13 @@
 !> The files beside OUTPUT, and what is said about them before a run starts: everything
 !> that would stop a run at its end is better found at its start.
 module castnet_output_files
-  use castnet_error, only: error_t, fail, exit_file
-  use castnet_text, only: to_text, text_t, folder_of, name_of
+  use castnet_error, only: error_t, fail, exit_file, exit_input
+  use castnet_text, only: to_text, text_t, folder_of, name_of, without_extension
   use castnet_posix, only: path_kind, path_nothing, path_file, path_folder, same_file, may_write, longest_name, &
                            longest_path, remove_file, copy_file, file_failure
   implicit none
   private
-  public :: check_output, can_continue, stage_part, clear_leftovers
+  public :: check_output, check_csv, protect_inputs, can_continue, stage_part, clear_leftovers
 
   !> The longest ending that is added to OUTPUT.
   character(len=*), parameter :: longest_ending = '.checkpoint.previous'
@@ -15,7 +15,7 @@ module castnet_output_files
 contains
 
   !> May a run write here? Nothing is written or touched. Errors: exit_file, one sentence
-  !> that says what to do.
+  !> that says what to do; exit_input for an output that is also read.
   subroutine check_output(output, inputs, force, restarting, error)
     character(len=*), intent(in) :: output       !! OUTPUT
     type(text_t), intent(in) :: inputs(:)        !! files that the run reads: never overwritten, --force or not
@@ -23,7 +23,7 @@ contains
     logical, intent(in) :: restarting            !! --restart: OUTPUT.part or OUTPUT is gone on with
     type(error_t), allocatable, intent(inout) :: error
     character(len=:), allocatable :: folder
-    integer :: number, i
+    integer :: number
     if (allocated(error)) return
     folder = folder_of(output)//'.'
     if (len(name_of(output)) == 0) then
@@ -46,10 +46,8 @@ contains
     number = may_write(folder)
     if (number /= 0) call file_failure(error, number, 'cannot write into the folder of', output, &
                                        'choose another folder with --output')
-    do i = 1, size(inputs)
-      if (same_file(output, inputs(i)%chars)) call refuse("the output '"//output// &
-        "' is a file that the run reads ("//inputs(i)%chars//'); choose another with --output')
-    end do
+    call protect_inputs(output, [character(len=24) :: '', '.part', '.tmp', '.lock', '.checkpoint', '.checkpoint.previous'], &
+                        inputs, error)
     if (force .or. allocated(error)) return
     if (path_kind(output) /= path_nothing .and. path_kind(output//'.part') /= path_nothing) then
       call refuse("both '"//output//"' and '"//output//".part' are there; choose another --output or replace them with --force")
@@ -70,6 +68,34 @@ contains
     end subroutine refuse
 
   end subroutine check_output
+
+  !> Refuse to write over a file that is read, by whatever name; --force does not help.
+  !> Errors: exit_input.
+  subroutine protect_inputs(output, endings, inputs, error)
+    character(len=*), intent(in) :: output
+    character(len=*), intent(in) :: endings(:)   !! of the files that will be written: '' for OUTPUT itself
+    type(text_t), intent(in) :: inputs(:)
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: i, k
+    do i = 1, size(inputs)
+      do k = 1, size(endings)
+        if (same_file(output//trim(endings(k)), inputs(i)%chars)) call fail(error, exit_input, "the output '"// &
+          output//trim(endings(k))//"' is a file that is read here ("//inputs(i)%chars//'); choose another with --output')
+      end do
+    end do
+  end subroutine protect_inputs
+
+  !> May the table's CSV be written beside it? Errors: exit_input.
+  subroutine check_csv(output, inputs, error)
+    character(len=*), intent(in) :: output
+    type(text_t), intent(in) :: inputs(:)
+    type(error_t), allocatable, intent(inout) :: error
+    if (allocated(error)) return
+    if (without_extension(output)//'.csv' == output) call fail(error, exit_input, "--output: seen '"//output// &
+      "', the name of the CSV that is written beside the HDF5 file; allowed: another ending, as in "// &
+      without_extension(output)//'.h5')
+    call protect_inputs(without_extension(output), ['.csv'], inputs, error)
+  end subroutine check_csv
 
   !> Does a folder's path, less its final '/', name something that is no folder?
   logical function is_file(folder)

@@ -24,6 +24,7 @@ module castnet_scene_file
   !> One file of a chain of includes, base first.
   type :: source_t
     type(namelist_t) :: document
+    character(len=:), allocatable :: path
     character(len=:), allocatable :: prefix   !! from the scene's folder to the file's
   end type source_t
 
@@ -70,6 +71,7 @@ contains
     allocate (sources%list(4))
     call gather(path, '', text, path//new_line('a'), 1, sources, problems)
     place%last_line = sources%list(sources%n)%document%last_line
+    call note_included(sources, work)
     call allocate_groups(sources, overrides, work)
     call scene_table(work, place%table)
     call bind_parts(sources, work, place)
@@ -89,6 +91,18 @@ contains
     call resolve_scene(scene)
   end subroutine read_scene_text
 
+  !> Paths of all files but the scene's own, which is the last.
+  subroutine note_included(sources, scene)
+    type(source_list_t), intent(in) :: sources
+    type(scene_t), intent(inout) :: scene
+    integer :: i
+    if (sources%n == 1) return
+    allocate (scene%included(sources%n - 1))
+    do i = 1, sources%n - 1
+      scene%included(i)%chars = sources%list(i)%path
+    end do
+  end subroutine note_included
+
   !> Parse a file and, before it, the files that it includes.
   recursive subroutine gather(path, prefix, text, chain, depth, sources, problems)
     character(len=*), intent(in) :: path, prefix, text
@@ -100,6 +114,7 @@ contains
     type(source_t), allocatable :: grown(:)
     integer :: i
     call parse_namelist(path, text, source%document, problems)
+    source%path = path
     source%prefix = prefix
     do i = 1, source%document%n
       if (source%document%groups(i)%name == 'include') &

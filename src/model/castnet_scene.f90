@@ -6,6 +6,7 @@
 !> A real that has no fixed default holds `unset` until the schema resolves it.
 module castnet_scene
   use castnet_kinds, only: wp, i8
+  use castnet_text, only: text_t
   implicit none
   private
   public :: scene_t, net_group_t, bullets_group_t, target_group_t, part_group_t, contact_group_t, &
@@ -117,6 +118,7 @@ module castnet_scene
   type :: scene_t
     character(len=:), allocatable :: path           !! the scene's file, as given
     character(len=:), allocatable :: text           !! the scene's text, as read
+    type(text_t), allocatable :: included(:)        !! paths of the files that it includes, if any
     type(net_group_t), allocatable :: net
     type(bullets_group_t), allocatable :: bullets
     type(target_group_t), allocatable :: target

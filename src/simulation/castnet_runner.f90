@@ -8,7 +8,7 @@ module castnet_runner
   use castnet_model_builder, only: file_net_t
   use castnet_lock, only: lock_t, take_lock, release_lock
   use castnet_log, only: log_t, log_note, log_warning, log_progress, end_progress
-  use castnet_output_files, only: check_output, can_continue, stage_part, clear_leftovers
+  use castnet_output_files, only: check_output, protect_inputs, can_continue, stage_part, clear_leftovers
   use castnet_posix, only: wall_seconds
   use castnet_record, only: summary_t, history_row_t
   use castnet_renumber, only: in_original_order
@@ -16,6 +16,7 @@ module castnet_runner
   use castnet_run_writer, only: run_writer_t, run_info_t, open_run, reopen_run, write_frame, write_history, flush_run, &
                                 close_run, status_complete, status_stopped, status_failed
   use castnet_scene, only: scene_t
+  use castnet_scene_files, only: data_contents, check_same_contents
   use castnet_scene_net, only: load_scene_net
   use castnet_shape, only: tessellate
   use castnet_signals, only: install_signal_handlers, stop_request_code
@@ -88,16 +89,22 @@ contains
     type(error_t), allocatable, intent(inout) :: error
     type(state_t), allocatable :: resumed
     type(lock_t) :: lock
-    character(len=:), allocatable :: before, warning
+    type(text_t) :: checkpoint(1)
+    character(len=:), allocatable :: before, held, contents, warning
 
     call check_output(options%output, options%inputs, options%force, allocated(options%restart), error)
     if (allocated(error)) return
+    contents = data_contents(scene)
     if (allocated(options%restart)) then
+      checkpoint(1)%chars = options%restart
+      call protect_inputs(options%output, [character(len=5) :: '', '.part', '.tmp', '.lock'], checkpoint, error)
+      if (allocated(error)) return
       allocate (resumed)
-      call read_checkpoint(options%restart, resumed, before, warning, error)
+      call read_checkpoint(options%restart, resumed, before, held, warning, error)
       if (allocated(error)) return
       if (allocated(warning)) call log_warning(log, warning)
       call check_same_scene(before, effective_text, options%restart, error)
+      call check_same_contents(held, contents, options%restart, error)
       if (allocated(error)) return
     end if
     call prepare_scene(scene, options%threads, sim, error, resumed)
@@ -108,14 +115,14 @@ contains
     call take_lock(lock, options%output, error)
     if (allocated(error)) return
     call install_signal_handlers()
-    call run_locked(scene, effective_text, options, log, sim, summary, ledger, error)
+    call run_locked(scene, effective_text, contents, options, log, sim, summary, ledger, error)
     call release_lock(lock)
   end subroutine run_scene
 
   !> The run proper, with its files to itself.
-  subroutine run_locked(scene, effective_text, options, log, sim, summary, ledger, error)
+  subroutine run_locked(scene, effective_text, contents, options, log, sim, summary, ledger, error)
     type(scene_t), intent(in) :: scene
-    character(len=*), intent(in) :: effective_text
+    character(len=*), intent(in) :: effective_text, contents
     type(run_options_t), intent(in) :: options
     type(log_t), intent(inout) :: log
     type(simulation_t), intent(inout) :: sim
@@ -129,7 +136,7 @@ contains
     integer :: stop_code, look
 
     began = wall_seconds()
-    call open_writer(sim, scene, effective_text, options, writer, error)
+    call open_writer(sim, scene, effective_text, contents, options, writer, error)
     if (allocated(error)) return
     look = 64
     if (allocated(sim%model%net)) look = max(1, min(look, node_steps_per_look/max(1, sim%model%net%n_node)))
@@ -147,7 +154,7 @@ contains
       stop_code = stop_request_code()
       if (stop_code == exit_done .and. wall_seconds() - began > options%max_wall) stop_code = exit_stopped
       if (due%checkpoint .or. stop_code /= exit_done .or. wall_seconds() > next_wall) then
-        call take_checkpoint(sim, writer, options%output, effective_text, error)
+        call take_checkpoint(sim, writer, options%output, effective_text, contents, error)
         if (scene%output%checkpoint_wall_interval > 0.0_wp) &
           next_wall = wall_seconds() + scene%output%checkpoint_wall_interval
       end if
@@ -175,10 +182,10 @@ contains
   end subroutine warn_of_residual
 
   !> A new output file, or the one that the checkpoint's run left.
-  subroutine open_writer(sim, scene, effective_text, options, writer, error)
+  subroutine open_writer(sim, scene, effective_text, contents, options, writer, error)
     type(simulation_t), intent(in) :: sim
     type(scene_t), intent(in) :: scene
-    character(len=*), intent(in) :: effective_text
+    character(len=*), intent(in) :: effective_text, contents
     type(run_options_t), intent(in) :: options
     type(run_writer_t), intent(out) :: writer
     type(error_t), allocatable, intent(inout) :: error
@@ -190,6 +197,7 @@ contains
       call tessellate(sim%model%target%shape, surface)
     end if
     info%version = options%version
+    info%contents = contents
     info%compiler = options%compiler
     info%flags = options%flags
     info%threads = options%threads
@@ -293,15 +301,15 @@ contains
   end function own_energy
 
   !> The file first, so that it is never behind the checkpoint.
-  subroutine take_checkpoint(sim, writer, output, effective_text, error)
+  subroutine take_checkpoint(sim, writer, output, effective_text, contents, error)
     type(simulation_t), intent(inout) :: sim
     type(run_writer_t), intent(inout) :: writer
-    character(len=*), intent(in) :: output, effective_text
+    character(len=*), intent(in) :: output, effective_text, contents
     type(error_t), allocatable, intent(inout) :: error
     call flush_run(writer, error)
     sim%state%schedule%checkpoints = sim%state%schedule%checkpoints + 1
     sim%state%schedule%checkpoint_step = sim%state%step
-    call write_checkpoint(output, sim%state, effective_text, error)
+    call write_checkpoint(output, sim%state, effective_text, contents, error)
   end subroutine take_checkpoint
 
 end module castnet_runner

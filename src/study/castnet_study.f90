@@ -15,6 +15,7 @@ module castnet_study
   use castnet_problems, only: problem_list_t
   use castnet_scene, only: scene_t
   use castnet_scene_check, only: finish_scene
+  use castnet_scene_files, only: text_contents, data_contents
   use castnet_scene_net, only: load_scene_net
   use castnet_scene_schema, only: set_key
   use castnet_signals, only: install_signal_handlers, stop_request_code
@@ -210,12 +211,14 @@ contains
 
   end subroutine find_journals
 
-  pure integer(i8) function identity_of(request, base)
+  !> Of the study's text, its scene's, and what is in every file that these name: with
+  !> another net, mesh or included file a case of the same number is another capture.
+  integer(i8) function identity_of(request, base)
     type(study_request_t), intent(in) :: request
     type(scene_t), intent(in) :: base
     integer :: i
     character(len=:), allocatable :: text
-    text = request%text//base%text
+    text = request%text//base%text//text_contents(base)//data_contents(base)
     do i = 1, size(request%scene_overrides)
       text = text//request%scene_overrides(i)%chars
     end do

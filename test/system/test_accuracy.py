@@ -34,7 +34,7 @@ def main():
         run = subprocess.run(command, capture_output=True, text=True, cwd=folder)
         check("exit code 0", run.returncode == 0)
         check("one sentence on stdout", run.stdout.count("\n") == 1 and run.stdout.rstrip().endswith("."))
-        check("nothing is overwritten without --force", subprocess.run(command, capture_output=True, cwd=folder).returncode == 2)
+        check("nothing is overwritten without --force", subprocess.run(command, capture_output=True, cwd=folder).returncode == 4)
         check("no other files", sorted(os.listdir(folder)) == ["small.accuracy.csv", "small.accuracy.h5", "small.nml"])
         with h5py.File(os.path.join(folder, "small.accuracy.h5"), "r") as data:
             methods = [word.decode() for word in data["method"][:]]

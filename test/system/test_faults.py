@@ -347,6 +347,132 @@ def check_damaged_checkpoints(folder: Path) -> None:
     check("checkpoint: none there: exit code 4", done.returncode == 4 and short(done), (done.returncode, done.stderr))
 
 
+# ---- the files that a scene reads ---------------------------------------------------------
+
+
+def net_scene(folder: Path) -> tuple[Path, list[str]]:
+    """A scene that includes another and reads a net and a mesh."""
+    y, z = np.meshgrid(np.arange(4.0), np.arange(4.0), indexing="ij")
+    position = np.stack([np.zeros(16), 0.1 * y.ravel(), 0.1 * z.ravel()], axis=1)
+    cables = [[4 * i + j, 4 * i + j + 1] for i in range(4) for j in range(3)] + [[4 * i + j, 4 * i + j + 4] for i in range(3) for j in range(4)]
+    with h5py.File(folder / "net.h5", "w") as file:
+        file["node/position"] = position
+        file["node/velocity"] = position * [0, 1, 1] + [2.0, 0, 0]
+        file["node/mass"] = np.full(16, 0.01)
+        file["cable/nodes"] = np.array(cables)
+        for name, value in (("natural_length", 0.1), ("axial_stiffness", 100.0), ("damping", 0.01)):
+            file[f"cable/{name}"] = np.full(len(cables), value)
+    corners = np.array([[x, y, z] for x in (0, 0.1) for y in (0, 0.1) for z in (0, 0.1)])
+    quads = [(1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4)]
+    (folder / "body.obj").write_text("".join("v %g %g %g\n" % tuple(c) for c in corners)
+                                     + "".join("f %d %d %d %d\n" % q for q in quads))
+    (folder / "base.nml").write_text("&net kind = 'file' file = 'net.h5' /\n&target shape = 'mesh' file = 'body.obj' mass = 2 "
+                                     "position = 0.5 0.15 0.15 /\n&contact threshold = 0.005 /\n")
+    scene = folder / "net_scene.nml"
+    scene.write_text("&include file = 'base.nml' /\n&time end_time = 0.3 step = 2e-5 /\n&output checkpoint_interval = 0.02 /\n")
+    return scene, []
+
+
+def check_contents(folder: Path) -> None:
+    scene = net_scene(folder)
+    output = folder / "out.h5"
+    done = run(scene, folder / "reference.h5")
+    if not check("contents: a net, a mesh and an included file make a run", done.returncode == 0, done.stderr):
+        return
+    reference = values(folder / "reference.h5")
+    with h5py.File(folder / "reference.h5") as file:
+        told = file["meta/contents"].asstr()[()]
+        check("contents: /meta tells what was in the files", told.count("checksum") == 2 and "net/file" in told, told)
+    for changed, key in (("net.h5", "net/file"), ("body.obj", "target/file")):
+        stopped(scene, output)
+        path = folder / changed
+        kept = path.read_bytes()
+        if changed == "net.h5":
+            with h5py.File(path, "r+") as file:
+                file["node/mass"][3] = 0.02
+        else:
+            path.write_bytes(kept.replace(b"0.1", b"0.2"))
+        before = digest(folder)
+        done = restart(scene, output)
+        check(f"contents: a restart with another {changed} is refused by name, nothing touched", done.returncode == 2
+              and key in done.stderr and short(done) and digest(folder) == before, (done.returncode, done.stderr))
+        path.unlink()
+        done = restart(scene, output)
+        check(f"contents: and without {changed}", done.returncode == 2 and key in done.stderr and short(done),
+              (done.returncode, done.stderr))
+        path.write_bytes(kept)
+        done = restart(scene, output)
+        check(f"contents: with the old {changed} it ends in the same bits", done.returncode == 0 and not different(output, reference),
+              (done.returncode, done.stderr))
+    for old in folder.glob("out.h5*"):
+        old.unlink()
+    study = folder / "study.nml"
+    study.write_text("&study scene = 'net_scene.nml' seeds = 1 /\n&vary key = 'target/mass' values = 2, 3 /\n")
+
+    def answer(*words: str) -> subprocess.CompletedProcess:
+        return subprocess.run([CASTNET, *map(str, words)], capture_output=True, text=True, timeout=300, check=False)
+
+    before = digest(folder)
+    for name in ("net_scene.nml", "base.nml", "net.h5", "body.obj"):
+        for words in (("run", scene[0]), ("accuracy", scene[0]), ("study", study), ("collect", study)):
+            done = answer(*words, "--output", folder / name, "--force")
+            check(f"contents: {words[0]} does not write over {name}, not even with --force", done.returncode == 2
+                  and short(done) and digest(folder) == before, (done.returncode, done.stderr))
+    done = answer("study", study, "--output", study, "--force")
+    check("contents: nor a study over its own text", done.returncode == 2 and digest(folder) == before, (done.returncode, done.stderr))
+    for words in (("accuracy", scene[0]), ("study", study)):
+        done = answer(*words, "--output", folder / "table.csv", "--force")
+        check(f"contents: {words[0]}'s CSV may not be its HDF5 file", done.returncode == 2 and digest(folder) == before,
+              (done.returncode, done.stderr))
+    (folder / "out.csv").symlink_to(folder / "base.nml")
+    for words in (("accuracy", scene[0]), ("study", study)):
+        done = answer(*words, "--output", output, "--force")
+        check(f"contents: nor {words[0]}'s CSV an input by another name", done.returncode == 2 and not output.exists()
+              and (folder / "base.nml").read_text().startswith("&net"), (done.returncode, done.stderr))
+    (folder / "out.csv").unlink()
+    done = answer("study", study, "--output", output, "--set", "time/end_time=0.01")
+    check("contents: the study runs", done.returncode == 0, done.stderr)
+    again = answer("study", study.resolve(), "--output", output.resolve(), "--set", "time/end_time=0.01")
+    check("contents: and again", again.returncode == 0, again.stderr)
+    for name in ("base.nml", "body.obj"):
+        path = folder / name
+        kept = path.read_bytes()
+        path.write_bytes(kept.replace(b"0.1", b"0.2"))
+        done = answer("study", study, "--output", output, "--set", "time/end_time=0.01")
+        check(f"contents: with another {name} its cases are another study's", done.returncode == 2 and "another study" in done.stderr,
+              (done.returncode, done.stderr))
+        path.write_bytes(kept)
+
+
+# ---- the end of the process --------------------------------------------------------------------
+
+
+def check_crash(folder: Path) -> None:
+    """A bug of ours, here made by a signal, is told in two lines: exit code 1, no backtrace."""
+    output = folder / "crash.h5"
+    reference_path = folder / "crash_reference.h5"
+    run(CUBESAT, reference_path)
+    reference = values(reference_path)
+    for number in (signal.SIGSEGV, signal.SIGABRT, signal.SIGFPE, signal.SIGBUS, signal.SIGILL):
+        for old in folder.glob("crash.h5*"):
+            old.unlink()
+        process = start(CUBESAT, output, "--no-progress")
+        wait_for(lambda: beside(output, ".checkpoint").exists())
+        process.send_signal(number)
+        _, words = process.communicate(timeout=60)
+        expected = "another kind of processor" if number == signal.SIGILL else "a bug of ours"
+        check(f"crash: {number.name}: exit code 1, two lines, no backtrace", process.returncode == 1 and expected in words
+              and len([w for w in words.splitlines() if "step" not in w]) <= 2 and "Backtrace" not in words, (process.returncode, words))
+    done = restart(CUBESAT, output)
+    check("crash: the run goes on from its checkpoint to the same bits", done.returncode == 0 and not different(output, reference),
+          (done.returncode, done.stderr))
+    limited = subprocess.run(["bash", "-c", 'ulimit -v 400000; exec "$@"', "bash", *command(CUBESAT, folder / "memory.h5"),
+                              "--quiet", "--set", "net/squares=400,400", "--set", "output/checkpoint_interval=0"],
+                             capture_output=True, text=True, timeout=300, check=False)
+    check("crash: too little memory: a documented exit code, three lines at most", limited.returncode in (1, 2, 4) and short(limited),
+          (limited.returncode, limited.stderr))
+
+
 # ---- locks and files -----------------------------------------------------------------------
 
 
@@ -472,8 +598,8 @@ def check_disks() -> None:
 
 def main() -> int:
     with tempfile.TemporaryDirectory(prefix="castnet_faults_") as name:
-        for number, part in enumerate((check_files, check_locks, check_signals, check_restarts, check_damaged_checkpoints,
-                                       check_kills)):
+        for number, part in enumerate((check_files, check_contents, check_locks, check_crash, check_signals, check_restarts,
+                                       check_damaged_checkpoints, check_kills)):
             folder = Path(name) / str(number)
             folder.mkdir()
             try:
