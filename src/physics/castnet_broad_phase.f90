@@ -3,7 +3,6 @@
 !> axes. What comes out are candidates in body axes, for the exact distance.
 module castnet_broad_phase
   use castnet_kinds, only: wp
-  use castnet_contact_list, only: lane
   implicit none
   private
   public :: net_box, boxes_apart, into_body_axes, outside_box, parallel_nodes
@@ -19,23 +18,17 @@ contains
     integer, intent(in) :: n, n_pad
     real(wp), intent(in) :: x(n_pad, 3)        !! node positions, inertial [m]
     real(wp), intent(out) :: lower(3), upper(3)
-    real(wp) :: least(lane), most(lane)
-    integer :: c, k, l, i
+    real(wp) :: least, most
+    integer :: c, i
     do c = 1, 3
       least = x(1, c)
       most = x(1, c)
-      do k = 0, n - lane, lane
-        do l = 1, lane
-          least(l) = merge(x(k + l, c), least(l), x(k + l, c) < least(l))
-          most(l) = merge(x(k + l, c), most(l), x(k + l, c) > most(l))
-        end do
+      do i = 2, n
+        least = min(least, x(i, c))
+        most = max(most, x(i, c))
       end do
-      do i = (n/lane)*lane + 1, n
-        least(1) = min(least(1), x(i, c))
-        most(1) = max(most(1), x(i, c))
-      end do
-      lower(c) = minval(least)
-      upper(c) = maxval(most)
+      lower(c) = least
+      upper(c) = most
     end do
   end subroutine net_box
 

@@ -23,7 +23,7 @@ module castnet_contact_event
 
   !> Steps between two looks at how long nothing can touch. By the step's number, not by
   !> a counter of ours, so that a restarted run is the same.
-  integer(i8), parameter :: horizon_stride = 16
+  integer(i8), parameter :: horizon_stride = 64
   integer, parameter :: max_projection = 4
   !> Skin of the near list in contact thresholds: wide enough to be rebuilt once in some
   !> hundred steps, narrow enough to hold few.

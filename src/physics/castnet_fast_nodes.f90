@@ -99,7 +99,7 @@ contains
     type(state_t), intent(inout) :: state
     real(wp), intent(in) :: r(3, 3)            !! body to inertial
     real(wp), intent(in) :: radius             !! bounding radius of the target [m]
-    real(wp), intent(in) :: outside(:)         !! (n_pad) distance of each node from the body's box, or less [m]
+    real(wp), intent(in) :: outside(model%net%n_pad) !! distance of each node from the body's box, or less [m]
     type(fast_nodes_t), intent(inout) :: fast
     type(cable_incidence_t), intent(inout) :: incidence
     real(wp) :: hit(3), fraction
@@ -133,32 +133,50 @@ contains
   subroutine list_ways(model, state, r, radius, outside, fast, n)
     type(model_t), intent(in) :: model
     type(state_t), intent(in) :: state
-    real(wp), intent(in) :: r(3, 3), radius, outside(:)
+    real(wp), intent(in) :: r(3, 3), radius
+    real(wp), intent(in) :: outside(model%net%n_pad)
     type(fast_nodes_t), intent(inout) :: fast
     integer, intent(out) :: n
     real(wp) :: rate(3), arm(3), u(3), way, reach
-    integer :: i
+    integer, parameter :: block_size = 64
+    integer :: i, block
     n = 0
     associate (net => model%net, body => state%target, threshold => model%contact%threshold)
       rate = multiply(r, body%angular_velocity)
       if (.not. model%target%fixed) rate(2) = rate(2) + model%orbit_rate
       reach = (threshold + fast%way)*(1.0_wp + 1.0e-9_wp)
-      do i = 1, net%n_node
-        if (outside(i) > reach .or. fast%square(i) <= fast%slow) cycle
-        if (net%inverse_mass(i) <= 0.0_wp) cycle
-        arm = [state%node_position(i, 1), state%node_position(i, 2), state%node_position(i, 3)] - body%position
-        u = [state%node_velocity(i, 1), state%node_velocity(i, 2), state%node_velocity(i, 3)] - body%velocity - cross(rate, arm)
-        way = model%step*sqrt(u(1)*u(1) + u(2)*u(2) + u(3)*u(3))
-        if (way <= threshold) cycle
-        if (sqrt(arm(1)*arm(1) + arm(2)*arm(2) + arm(3)*arm(3)) - way > radius + threshold) cycle
-        n = n + 1
-        fast%node(n) = i
-        fast%rest(n) = way
-        fast%last(:, n) = multiply_transposed(r, arm)
-        fast%first(:, n) = fast%last(:, n) - model%step*multiply_transposed(r, u)
+      ! Block by block: most blocks hold no candidate, which a vector loop sees at once.
+      do block = 1, net%n_node, block_size
+        if (.not. any_near(min(block_size, net%n_node - block + 1), outside(block), fast%square(block), reach, fast%slow)) cycle
+        do i = block, min(net%n_node, block + block_size - 1)
+          if (outside(i) > reach .or. fast%square(i) <= fast%slow) cycle
+          if (net%inverse_mass(i) <= 0.0_wp) cycle
+          arm = [state%node_position(i, 1), state%node_position(i, 2), state%node_position(i, 3)] - body%position
+          u = [state%node_velocity(i, 1), state%node_velocity(i, 2), state%node_velocity(i, 3)] - body%velocity - cross(rate, arm)
+          way = model%step*sqrt(u(1)*u(1) + u(2)*u(2) + u(3)*u(3))
+          if (way <= threshold) cycle
+          if (sqrt(arm(1)*arm(1) + arm(2)*arm(2) + arm(3)*arm(3)) - way > radius + threshold) cycle
+          n = n + 1
+          fast%node(n) = i
+          fast%rest(n) = way
+          fast%last(:, n) = multiply_transposed(r, arm)
+          fast%first(:, n) = fast%last(:, n) - model%step*multiply_transposed(r, u)
+        end do
       end do
     end associate
   end subroutine list_ways
+
+  !> Is any of the nodes both near enough and fast enough?
+  pure logical function any_near(n, outside, square, reach, slow)
+    integer, intent(in) :: n
+    real(wp), intent(in) :: outside(n), square(n), reach, slow
+    integer :: i, found
+    found = 0
+    do i = 1, n
+      found = found + merge(1, 0, outside(i) <= reach .and. square(i) > slow)
+    end do
+    any_near = found > 0
+  end function any_near
 
   !> Drop the ways that cannot have entered the layer from outside: those that end, or
   !> begin and end, too far from the body, and those that begin within the layer.
@@ -246,20 +264,10 @@ contains
     integer, intent(in) :: n, n_pad
     real(wp), intent(in) :: v(n_pad, 3), centre(3)
     real(wp), intent(out) :: square(n), top
-    integer, parameter :: lanes = 8   ! partial maxima, which the compiler keeps side by side
-    real(wp) :: part(lanes)
-    integer :: i, k
+    integer :: i
+    top = 0.0_wp
     do i = 1, n
       square(i) = (v(i, 1) - centre(1))**2 + (v(i, 2) - centre(2))**2 + (v(i, 3) - centre(3))**2
-    end do
-    part = 0.0_wp
-    do i = 0, n - lanes, lanes
-      do k = 1, lanes
-        part(k) = merge(square(i + k), part(k), square(i + k) > part(k))
-      end do
-    end do
-    top = maxval(part)
-    do i = n - modulo(n, lanes) + 1, n
       top = max(top, square(i))
     end do
   end subroutine squared_speeds

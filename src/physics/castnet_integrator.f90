@@ -7,7 +7,8 @@ module castnet_integrator
   use castnet_kinds, only: wp
   use castnet_model, only: model_t
   use castnet_state, only: state_t, body_state_t
-  use castnet_body_dynamics, only: body_rate_t, body_rate, body_advance, body_rk4, body_kick, orbital_acceleration
+  use castnet_body_dynamics, only: body_rate_t, body_rate, body_advance, body_rk4, body_alone, body_kick, &
+                                   orbital_acceleration
   use castnet_cable_force, only: slab_t, chunk_size, new_slabs, slab_halo, chunk_cables, chunk_force, &
                                  loose_cables, sum_in_order
   use castnet_closing_thread, only: impulse_work
@@ -236,6 +237,14 @@ contains
     real(wp), intent(inout) :: work_done  !! by the external torque, added to [J]
     type(body_rate_t) :: k1, k2, k3, k4
     real(wp), parameter :: none(3) = 0.0_wp
+    real(wp) :: turn(3)
+    if (.not. abs(model%orbit_rate) > 0.0_wp) then
+      call body_alone(model, body, h, turn)
+      associate (torque => model%target%external_torque)
+        work_done = work_done + (torque(1)*turn(1) + torque(2)*turn(2) + torque(3)*turn(3))
+      end associate
+      return
+    end if
     k1 = body_rate(model, body, none, none)
     k2 = body_rate(model, body_advance(body, k1, 0.5_wp*h), none, none)
     k3 = body_rate(model, body_advance(body, k2, 0.5_wp*h), none, none)

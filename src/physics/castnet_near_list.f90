@@ -8,7 +8,6 @@
 !> which order it is listed, does not depend on when the list was built.
 module castnet_near_list
   use castnet_kinds, only: wp
-  use castnet_contact_list, only: lane
   use castnet_net, only: net_t
   use castnet_shape, only: shape_t, signed_distance_within, segment_distance_within
   implicit none
@@ -50,25 +49,16 @@ contains
   pure real(wp) function largest_move(n, n_pad, y, reference) result(move)
     integer, intent(in) :: n, n_pad
     real(wp), intent(in) :: y(n_pad, 3), reference(n_pad, 3)
-    real(wp) :: most(lane), square, dx, dy, dz
-    integer :: k, l, i
+    real(wp) :: most, dx, dy, dz
+    integer :: i
     most = 0.0_wp
-    do k = 0, n - lane, lane
-      do l = 1, lane
-        dx = y(k + l, 1) - reference(k + l, 1)
-        dy = y(k + l, 2) - reference(k + l, 2)
-        dz = y(k + l, 3) - reference(k + l, 3)
-        square = dx*dx + dy*dy + dz*dz
-        most(l) = merge(square, most(l), square > most(l))
-      end do
-    end do
-    do i = (n/lane)*lane + 1, n
+    do i = 1, n
       dx = y(i, 1) - reference(i, 1)
       dy = y(i, 2) - reference(i, 2)
       dz = y(i, 3) - reference(i, 3)
-      most(1) = max(most(1), dx*dx + dy*dy + dz*dz)
+      most = max(most, dx*dx + dy*dy + dz*dz)
     end do
-    move = sqrt(max(max(max(most(1), most(2)), max(most(3), most(4))), max(max(most(5), most(6)), max(most(7), most(8)))))
+    move = sqrt(most)
   end function largest_move
 
   !> Note everything within `reach` of the body.
