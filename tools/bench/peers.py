@@ -1,22 +1,31 @@
 #!/usr/bin/env python3
-"""castnet and peers on the same net: time of a run against its error, in one figure.
+"""castnet and other codes on the same net, in turns: time against error.
 
     pip install -r tools/bench/requirements-bench.txt
-    tools/bench/peers.py CASTNET [--rounds 5] [-o docs/work_precision.png]
+    tools/bench/peers.py [CASTNET] [--rounds 3] [--only kernel,precision,capture] [-o docs/figures/work_precision.png]
 
-The rocket net of the paper's Table 2 flies without a target for END seconds. Every code
-starts from the positions, masses, stiffnesses and dampings that castnet writes. Codes take
-turns (interleaved), times are medians of processor time on one thread without the time to
-compile; errors are the farthest bullet's distance from castnet's rk4 at 2e-5 s. END lies
-before the horizon of chaos (castnet accuracy: about 0.6 s), so that an error is one.
+Three comparisons on the rocket net of the paper's Table 2 and its coarser and finer versions:
+  kernel     nanoseconds per node and step of a net in flight, 125 to 25,925 nodes; every code's
+             positions after up to 0.4 s against castnet's with the same method
+  precision  0.5 s of flight (the horizon of chaos is 0.6 s): time of a run against the error of the
+             bullets and of the mouth's area, the reference being castnet's rk4 at 1e-5 s
+  capture    the whole rocket capture (case B, 0.4 rad/s, 10 s, contact on)
+Every code starts from the arrays that castnet writes. Codes take turns; times are medians of
+processor time (user and system) on one thread. Peers' times leave out imports, compilation and
+set-up; castnet's are those of the whole process, less a run of two steps in the first two
+comparisons, with everything in the third: there once with the last state written, which is what
+the peers give, and once with 101 frames and 1001 history rows.
 """
+import argparse
 import os
 
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", NUMBA_NUM_THREADS="1",
                   XLA_FLAGS="--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
-import argparse
+import csv
+import resource
 import statistics
 import subprocess
+import sys
 import tempfile
 import time
 
@@ -27,247 +36,251 @@ import numpy as np
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
-SCENE = os.path.join(ROOT, "input", "deployment_rocket.nml")
-END = 0.5
-COLOURS = {"castnet": "#c0561c", "C on a grid": "0.3", "numba": "#1f5a92", "jax": "#2d7d46", "mujoco": "#7a3b8f", "scipy": "#8a6d1a"}
+HERE = os.path.dirname(os.path.abspath(__file__))
+ROOT = os.path.dirname(os.path.dirname(HERE))
+sys.path[:0] = [HERE, os.path.join(ROOT, "tools")]
+import peer_codes
+from castnet_runner import find_castnet
+
+DEPLOYMENT = os.path.join(ROOT, "input", "deployment_rocket.nml")
+CAPTURE = os.path.join(ROOT, "input", "rocket_x_0.4.nml")
+FLIGHT = 0.5
+REFERENCE_STEP = 1e-5
+COMPARED = 0.4, 5e6   # flight after which kernels' positions are compared, in seconds and at most in steps times nodes
+SHARE = {"numba": 2, "jax": 4, "warp": 10}   # of castnet's steps that a slower code takes: time is per step
+COLOURS = {"castnet": "#c0561c", "numba": "#1f5a92", "jax": "#2d7d46", "warp": "#8a6d1a", "mujoco": "#7a3b8f", "scipy": "0.35"}
+MARKERS = {"rk4": "o", "midpoint": "s", "adaptive": "^", "tendons": "D", "DOP853": "v"}
 
 
-def castnet(program, method, step, folder):
-    """Seconds of the run proper, final positions, and the net."""
-    out = os.path.join(folder, "run.h5")
-    subprocess.run([program, "run", SCENE, "--output", out, "--force", "--quiet", "--set", f"time/method={method}", "--set",
-                    f"time/step={step!r}", "--set", f"time/end_time={END}", "--set", f"output/frame_interval={END}", "--set",
-                    f"output/history_interval={END}", "--set", f"output/verdict_times={END}", "--set", "output/vtk=.false."],
-                   check=True)
-    with h5py.File(out, "r") as data:
-        static = data["static"]
-        net = {"x": data["node_position"][0], "v": data["node_velocity"][0], "mass": static["node_mass"][:],
-               "cables": static["cable_nodes"][:].astype(int), "length": static["natural_length"][:],
-               "k": static["axial_stiffness"][:] / static["natural_length"][:], "bullets": static["bullet_nodes"][:].astype(int)}
-        return float(data["summary/wall_time"][()]), data["node_position"][-1], net
+class Castnet:
+    """The program as a peer: a process a run."""
+
+    def __init__(self, program, folder):
+        self.program, self.output = os.path.abspath(program), os.path.join(folder, "run.h5")
+
+    def run(self, scene, **settings):
+        """Processor seconds of the whole process."""
+        words = [self.program, "run", scene, "--output", self.output, "--force", "--quiet", "--threads", "1"]
+        for key, value in settings.items():
+            words += ["--set", f"{key.replace('__', '/')}={value}"]
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+    def fly(self, net, method, step, steps, repeats=3, **more):
+        """Seconds of so many steps of a net in flight (the least, less the least of two steps), and the last positions."""
+        fixed = {"net__squares": f"{net['squares']},{net['squares']}", "net__mesh_length": repr(30.0 / net["squares"]),
+                 "time__method": method, "output__vtk": ".false.", **more}
+
+        def seconds(count):
+            end = repr(step * count)
+            return self.run(DEPLOYMENT, time__step=repr(step), time__end_time=end, output__frame_interval=end,
+                            output__history_interval=end, **fixed)
+        small = [seconds(2) for _ in range(repeats)]
+        took = min(seconds(steps) for _ in range(repeats)) - min(small)
+        with h5py.File(self.output, "r") as data:
+            return took, data["node_position"][-1]
+
+    def net(self, squares):
+        """The arrays of a net as castnet starts it; dampings by castnet's rule for zeta = 0.1."""
+        net = {"squares": squares}
+        self.fly(net, "rk4", 1e-5, 3)
+        with h5py.File(self.output, "r") as data:
+            static = data["static"]
+            net.update(x=data["node_position"][0], v=data["node_velocity"][0], mass=static["node_mass"][:],
+                       cables=static["cable_nodes"][:].astype(int), length=static["natural_length"][:],
+                       bullets=static["bullet_nodes"][:].astype(int), border=static["perimeter_nodes"][:].astype(int))
+            net["k"] = static["axial_stiffness"][:] / net["length"]
+        ends = 1.0 / net["mass"][net["cables"]]
+        net["c"] = 2.0 * 0.1 * np.sqrt(net["k"] / ends.sum(axis=1))
+        net["speed"] = float(np.linalg.norm(net["v"], axis=1).max())
+        return net
 
 
-def add_damping(net, ratio=0.1):
-    mass, cables = net["mass"], net["cables"]
-    reduced = 1.0 / (1.0 / mass[cables[:, 0]] + 1.0 / mass[cables[:, 1]])
-    net["c"] = 2.0 * ratio * np.sqrt(net["k"] * reduced)
+def clock(run, *arguments):
+    """Processor seconds, of a short run the least of five, and the result."""
+    best = np.inf
+    for _ in range(5):
+        began = time.process_time()
+        result = run(*arguments)
+        took = time.process_time() - began
+        best = min(best, took)
+        if took > 0.1:
+            break
+    return best, result
 
 
-def numpy_acceleration(net):
-    a, b = net["cables"].T
-    n = len(net["mass"])
-
-    def acceleration(x, v):
-        d = x[b] - x[a]
-        length = np.sqrt((d * d).sum(axis=1))
-        u = d / length[:, None]
-        stretch = length - net["length"]
-        pull = np.where(stretch > 0, np.maximum(0, net["k"] * stretch + net["c"] * ((v[b] - v[a]) * u).sum(axis=1)), 0)
-        force = pull[:, None] * u
-        total = np.stack([np.bincount(a, force[:, i], n) - np.bincount(b, force[:, i], n) for i in range(3)], axis=1)
-        return total / net["mass"][:, None]
-    return acceleration
+def available(names):
+    """Those of the peers that are installed."""
+    found = []
+    for name in names:
+        try:
+            __import__(name)
+            found.append(name)
+        except ImportError as problem:
+            print(f"{name} is left out: {problem}")
+    return found
 
 
-def scipy_run(net, tolerance):
-    from scipy.integrate import solve_ivp
-    acceleration = numpy_acceleration(net)
-    shape = net["x"].shape
-
-    def rate(_, y):
-        x, v = y.reshape(2, *shape)
-        return np.concatenate([v.ravel(), acceleration(x, v).ravel()])
-
-    def run():
-        y = solve_ivp(rate, (0, END), np.concatenate([net["x"].ravel(), net["v"].ravel()]), method="DOP853", rtol=tolerance,
-                      atol=tolerance * 1e-2).y[:, -1]
-        return y.reshape(2, *shape)[0]
-    return run
-
-
-def numba_run(net, method, step):
-    import numba
-    a, b = (np.ascontiguousarray(net["cables"][:, i]) for i in range(2))
-    k, c, l0, mass = net["k"], net["c"], net["length"], net["mass"]
-
-    @numba.njit(fastmath=True)
-    def acceleration(x, v, out):
-        out[:] = 0.0
-        for e in range(a.size):
-            i, j = a[e], b[e]
-            dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
-            length = np.sqrt(dx * dx + dy * dy + dz * dz)
-            if length > l0[e]:
-                rate = (dx * (v[j, 0] - v[i, 0]) + dy * (v[j, 1] - v[i, 1]) + dz * (v[j, 2] - v[i, 2])) / length
-                pull = max(0.0, k[e] * (length - l0[e]) + c[e] * rate) / length
-                out[i, 0] += pull * dx; out[i, 1] += pull * dy; out[i, 2] += pull * dz
-                out[j, 0] -= pull * dx; out[j, 1] -= pull * dy; out[j, 2] -= pull * dz
-        for i in range(mass.size):
-            for m in range(3):
-                out[i, m] /= mass[i]
-
-    @numba.njit(fastmath=True)
-    def rk4(x, v, h, n):
-        a1, a2, a3, a4 = np.empty_like(x), np.empty_like(x), np.empty_like(x), np.empty_like(x)
-        for _ in range(n):
-            acceleration(x, v, a1)
-            v2 = v + 0.5 * h * a1
-            acceleration(x + 0.5 * h * v, v2, a2)
-            v3 = v + 0.5 * h * a2
-            acceleration(x + 0.5 * h * v2, v3, a3)
-            v4 = v + h * a3
-            acceleration(x + h * v3, v4, a4)
-            x += h / 6 * (v + 2 * v2 + 2 * v3 + v4)
-            v += h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
-
-    @numba.njit(fastmath=True)
-    def midpoint(x, v, h, n):
-        acc = np.zeros_like(x)
-        for _ in range(n):
-            x += 0.5 * h * v
-            ahead = v + 0.5 * h * acc
-            acceleration(x, ahead, acc)
-            v += h * acc
-            x += 0.5 * h * v
-    steps = round(END / step)
-
-    def run():
-        x, v = net["x"].copy(), net["v"].copy()
-        (rk4 if method == "rk4" else midpoint)(x, v, END / steps, steps)
-        return x
-    return run
+def compare_kernels(castnet, rounds, squares_list, table):
+    peers = available(["numba", "jax", "warp"])
+    makers = {"numba": peer_codes.numba_run, "jax": peer_codes.jax_run, "warp": peer_codes.warp_run}
+    print("\nKernel: ns per node and step, medians; in brackets the ratio to castnet (median of the rounds' ratios)\n"
+          f"and the largest difference of positions from castnet's after at most {COMPARED[0]} s of flight")
+    for squares in squares_list:
+        net = castnet.net(squares)
+        nodes, step = len(net["mass"]), 2e-2 / squares / 4
+        for method, guess in (("rk4", 35e-9), ("midpoint", 8e-9)):
+            steps = max(50, round(0.6 / (nodes * guess)))
+            runs = {name: makers[name](net, method, step, steps) for name in peers}
+            few = int(min(COMPARED[0] / step, COMPARED[1] / nodes))
+            compared = castnet.fly(net, method, step, few, 1)[1]
+            apart = {name: float(np.abs(run(few) - compared).max()) for name, run in runs.items()}
+            times = {name: [] for name in ["castnet", *runs]}
+            for _ in range(rounds):
+                times["castnet"].append(castnet.fly(net, method, step, steps, 1)[0] / steps / nodes * 1e9)
+                for name, run in runs.items():
+                    count = max(10, steps // SHARE[name])
+                    times[name].append(clock(run, count)[0] / count / nodes * 1e9)
+            line = f"{nodes:6} {method:9} castnet {statistics.median(times['castnet']):7.1f}"
+            for name in times:
+                ratio = statistics.median(a / b for a, b in zip(times[name], times["castnet"]))
+                table.append(("kernel", name, method, nodes, step, statistics.median(times[name]) * 1e-9, ratio,
+                              apart.get(name, 0.0), ""))
+                if name != "castnet":
+                    line += f"   {name} {statistics.median(times[name]):8.1f} ({ratio:5.2f}, {apart[name]:.0e} m)"
+            print(line, flush=True)
 
 
-def jax_run(net, method, step):
-    import jax
-    import jax.numpy as jnp
-    jax.config.update("jax_enable_x64", True)
-    n = len(net["mass"])
-    a, b = (jnp.asarray(net["cables"][:, i]) for i in range(2))
-    k, c, l0, mass = (jnp.asarray(net[name]) for name in ("k", "c", "length", "mass"))
-    # a padded list of every node's cables: a gather is faster than a scatter here
-    entries = [[] for _ in range(n)]
-    for e, (i, j) in enumerate(net["cables"]):
-        entries[i].append((e, 1.0))
-        entries[j].append((e, -1.0))
-    width = max(map(len, entries))
-    index = jnp.asarray([[p[0] for p in row] + [0] * (width - len(row)) for row in entries])
-    sign = jnp.asarray([[p[1] for p in row] + [0.0] * (width - len(row)) for row in entries])[:, :, None]
-
-    def acceleration(x, v):
-        d = x[b] - x[a]
-        length = jnp.sqrt((d * d).sum(axis=1))
-        rate = (d * (v[b] - v[a])).sum(axis=1) / length
-        stretch = length - l0
-        pull = jnp.where(stretch > 0, jnp.maximum(0, k * stretch + c * rate), 0) / length
-        return (sign * (pull[:, None] * d)[index]).sum(axis=1) / mass[:, None]
-    steps = round(END / step)
-    h = END / steps
-
-    def rk4(_, s):
-        x, v = s[:2]
-        a1 = acceleration(x, v)
-        v2 = v + 0.5 * h * a1
-        a2 = acceleration(x + 0.5 * h * v, v2)
-        v3 = v + 0.5 * h * a2
-        a3 = acceleration(x + 0.5 * h * v2, v3)
-        v4 = v + h * a3
-        a4 = acceleration(x + h * v3, v4)
-        return x + h / 6 * (v + 2 * v2 + 2 * v3 + v4), v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4), s[2]
-
-    def midpoint(_, s):
-        x, v, acc = s
-        x = x + 0.5 * h * v
-        acc = acceleration(x, v + 0.5 * h * acc)
-        v = v + h * acc
-        return x + 0.5 * h * v, v, acc
-    body = rk4 if method == "rk4" else midpoint
-    whole = jax.jit(lambda x, v: jax.lax.fori_loop(0, steps, body, (x, v, jnp.zeros_like(x)))[0])
-    x, v = jnp.asarray(net["x"]), jnp.asarray(net["v"])
-    return lambda: np.asarray(whole(x, v))
+def mouth_area(net, x):
+    """Length of the vector area of the net's border [m2]."""
+    border = x[net["border"]]
+    return 0.5 * np.linalg.norm(np.cross(border, np.roll(border, -1, axis=0)).sum(axis=0))
 
 
-def mujoco_run(net, step):
-    """Nodes on three slides, cables as spatial tendons. Their dampers act in slack too: MuJoCo has no other."""
-    import mujoco
-    text = [f'<mujoco><option timestep="{step!r}" gravity="0 0 0" integrator="Euler"><flag contact="disable" '
-            'constraint="disable" eulerdamp="disable"/></option><worldbody>']
-    for i, (place, mass) in enumerate(zip(net["x"], net["mass"])):
-        text.append(f'<body pos="{place[0]!r} {place[1]!r} {place[2]!r}">'.replace("np.float64(", "").replace(")", "")
-                    + '<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/><joint type="slide" axis="0 0 1"/>'
-                    f'<inertial pos="0 0 0" mass="{float(mass)!r}" diaginertia="1e-6 1e-6 1e-6"/><site name="n{i}"/></body>')
-    text.append("</worldbody><tendon>")
-    for (i, j), k, c, l0 in zip(net["cables"], net["k"], net["c"], net["length"]):
-        text.append(f'<spatial springlength="0 {float(l0)!r}" stiffness="{float(k)!r}" damping="{float(c)!r}">'
-                    f'<site site="n{i}"/><site site="n{j}"/></spatial>')
-    text.append("</tendon></mujoco>")
-    model = mujoco.MjModel.from_xml_string("".join(text))
+def compare_precision(castnet, rounds, table):
+    net = castnet.net(20)
+    reference = castnet.fly(net, "rk4", REFERENCE_STEP, round(FLIGHT / REFERENCE_STEP), 1)[1]
+    runs = {}
+    for method, steps in (("rk4", (2.5e-3, 1e-3, 5e-4, 2.5e-4, 1e-4)), ("midpoint", (1.25e-3, 5e-4, 2.5e-4, 1e-4, 5e-5))):
+        for step in steps:
+            runs["castnet", method, step] = lambda m=method, s=step: castnet.fly(net, m, s, round(FLIGHT / s), 5)
+    makers = {
+        "numba": (peer_codes.numba_run, (("rk4", 1e-3), ("rk4", 2.5e-4), ("rk4", 1e-4), ("midpoint", 1.25e-3), ("midpoint", 2.5e-4),
+                                         ("midpoint", 5e-5))),
+        "jax": (peer_codes.jax_run, (("rk4", 1e-3), ("rk4", 2.5e-4), ("rk4", 1e-4), ("midpoint", 1.25e-3), ("midpoint", 2.5e-4),
+                                     ("midpoint", 5e-5))),
+        "warp": (peer_codes.warp_run, (("rk4", 1e-3), ("rk4", 2.5e-4), ("midpoint", 1.25e-3), ("midpoint", 2.5e-4))),
+        "mujoco": (peer_codes.mujoco_run, (("tendons", 1e-3), ("tendons", 2.5e-4))),
+    }
+    for name in available([*makers, "scipy"]):
+        if name == "scipy":
+            for tolerance in (1e-5, 1e-7):
+                runs[name, "DOP853", tolerance] = lambda f=peer_codes.scipy_run(net, None, tolerance, FLIGHT): clock(f)
+            continue
+        make, settings = makers[name]
+        for method, step in settings:
+            runs[name, method, step] = lambda f=make(net, method, step, round(FLIGHT / step)): clock(f)
+    times, error = {key: [] for key in runs}, {}
+    for _ in range(rounds):
+        for key, run in runs.items():
+            took, x = run()
+            times[key].append(took)
+            error[key] = (float(np.linalg.norm((x - reference)[net["bullets"]], axis=1).max()),
+                          float(abs(mouth_area(net, x) - mouth_area(net, reference))))
+    print(f"\n{FLIGHT} s of flight\n{'code':8} {'method':9} {'step':>9} {'ms':>9} {'bullets, m':>11} {'mouth, m2':>11}")
+    for key in runs:
+        seconds = statistics.median(times[key])
+        print(f"{key[0]:8} {key[1]:9} {key[2]:9.3g} {1e3 * seconds:9.2f} {error[key][0]:11.1e} {error[key][1]:11.1e}")
+        table.append(("precision", key[0], key[1], len(net["mass"]), key[2], seconds, "", *error[key]))
 
-    def run():
-        data = mujoco.MjData(model)
-        data.qvel[:] = net["v"].ravel()
-        for _ in range(round(END / step)):
-            mujoco.mj_step(model, data)
-        return net["x"] + data.qpos.reshape(-1, 3)
-    return run
+
+def compare_captures(castnet, rounds, table):
+    net = castnet.net(20)
+    target = {"position": (35.0, 0.0, 0.0), "rate": (0.0, 0.4, 0.0), "mass": 8226.0, "diameter": 3.9, "length": 11.047,
+              "threshold": 2e-2}
+    across = target["mass"] * (3 * (0.5 * target["diameter"]) ** 2 + target["length"] ** 2) / 12
+    target["inertia"] = np.array((across, across, 0.5 * target["mass"] * (0.5 * target["diameter"]) ** 2))
+    common = {"time__end_time": 10.0, "output__verdict_times": 10.0, "time__step": 0}
+    last_only = {"output__frame_interval": 10.0, "output__history_interval": 10.0, "output__vtk": ".false."}
+
+    def ours(method, **more):
+        took = castnet.run(CAPTURE, **{**common, "time__method": method, **more})
+        with h5py.File(castnet.output, "r") as data:
+            return took, (data["node_position"][-1], data["target_velocity"][-1])
+    runs = {("castnet", "midpoint", "last state"): lambda: ours("midpoint", **last_only),
+            ("castnet", "midpoint", "all output"): lambda: ours("midpoint", output__frame_interval=0.1),
+            ("castnet", "rk4", "last state"): lambda: ours("rk4", **last_only)}
+    found = available(["numba", "mujoco"])
+    if "numba" in found:
+        runs["numba", "rk4", "1e-3 s"] = lambda f=peer_codes.numba_capture(net, target, 1e-3, 10000): clock(f)
+    if "mujoco" in found:
+        runs["mujoco", "tendons", "1e-3 s"] = lambda f=peer_codes.mujoco_capture(net, target, 1e-3, 10000): clock(f)
+    times, speed = {key: [] for key in runs}, {}
+    for _ in range(rounds):
+        for key, run in runs.items():
+            took, (_, velocity) = run()
+            times[key].append(took)
+            speed[key] = 1e3 * float(np.linalg.norm(velocity))
+    print("\nWhole rocket capture, 10 s\ncode     method                  ms  to the first  target's speed, mm/s")
+    first = next(iter(runs))
+    for key in runs:
+        ratio = statistics.median(a / b for a, b in zip(times[key], times[first]))
+        print(f"{key[0]:8} {key[1]:9} {key[2]:10} {1e3 * statistics.median(times[key]):8.1f} {ratio:13.1f} {speed[key]:21.2f}")
+        table.append(("capture", *key[:2], len(net["mass"]), key[2], statistics.median(times[key]), ratio, speed[key], ""))
+
+
+def draw(table, output):
+    figure, axes = plt.subplots(1, 2, figsize=(10, 4.3), width_ratios=(1.5, 1), layout="constrained")
+    axis = axes[0]
+    rows = [row for row in table if row[0] == "precision"]
+    for code, method in dict.fromkeys(row[1:3] for row in rows):
+        chosen = sorted((row[5], row[7]) for row in rows if row[1:3] == (code, method))
+        axis.plot(*zip(*[(1e3 * a, 1e3 * b) for a, b in chosen]), marker=MARKERS[method], markersize=5, color=COLOURS[code],
+                  linestyle="--" if method == "midpoint" else "-", linewidth=2.2 if code == "castnet" else 1.2,
+                  label=f"{code}, {method}")
+    axis.set(xscale="log", yscale="log", xlabel=f"processor time of {FLIGHT} s of flight, ms (one core)",
+             ylabel="error of the bullets' positions, mm", title="Error against time: the rocket's net, 445 nodes")
+    axis.legend(fontsize="x-small", ncols=2)
+    axis = axes[1]
+    rows = [row for row in table if row[0] == "kernel"]
+    for code, method in dict.fromkeys(row[1:3] for row in rows):
+        chosen = [(row[3], 1e9 * row[5]) for row in rows if row[1:3] == (code, method)]
+        axis.plot(*zip(*chosen), marker=MARKERS[method], markersize=5, color=COLOURS[code],
+                  linestyle="--" if method == "midpoint" else "-", linewidth=2.2 if code == "castnet" else 1.2)
+    axis.set(xscale="log", yscale="log", xlabel="nodes", ylabel="ns per node and step", title="Cost of a step (colours as left)")
+    for axis in axes:
+        axis.grid(alpha=0.25)
+    figure.savefig(output, dpi=110)
+    print(output)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("castnet")
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("-o", "--output", default=os.path.join(ROOT, "docs", "work_precision.png"))
+    parser.add_argument("castnet", nargs="?", help="the program (default: the newest build here)")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--only", default="kernel,precision,capture")
+    parser.add_argument("--squares", default="10,20,40,80,160")
+    parser.add_argument("--csv", help="all numbers as a table")
+    parser.add_argument("-o", "--output", default=os.path.join(ROOT, "docs", "figures", "work_precision.png"))
     arguments = parser.parse_args()
-    program = os.path.abspath(arguments.castnet)
+    table, parts = [], arguments.only.split(",")
     with tempfile.TemporaryDirectory() as folder:
-        _, reference, net = castnet(program, "rk4", 2e-5, folder)
-        add_damping(net)
-        runs = {}
-        for method, steps in (("rk4", (2.5e-3, 1e-3, 2.5e-4, 1e-4)), ("midpoint", (1.25e-3, 5e-4, 2.5e-4, 1e-4))):
-            for step in steps:
-                runs["castnet", method, step] = lambda m=method, s=step: castnet(program, m, s, folder)[:2]
-        makers = {
-            "numba": lambda: {("numba", m, s): numba_run(net, m, s) for m, s in (("rk4", 1e-3), ("rk4", 2.5e-4), ("midpoint", 1.25e-3),
-                                                                                   ("midpoint", 2.5e-4))},
-            "jax": lambda: {("jax", m, s): jax_run(net, m, s) for m, s in (("rk4", 1e-3), ("rk4", 2.5e-4), ("midpoint", 1.25e-3),
-                                                                               ("midpoint", 2.5e-4))},
-            "mujoco": lambda: {("mujoco", "tendons", s): mujoco_run(net, s) for s in (1e-3, 5e-4)},
-            "scipy": lambda: {("scipy", "DOP853", s): scipy_run(net, s) for s in (1e-5, 1e-8)},
-        }
-        for name, make in makers.items():
-            try:
-                peer = make()
-                for run in peer.values():
-                    run()  # compiles
-                runs.update(peer)
-            except ImportError as problem:
-                print(f"{name} is left out: {problem}")
-        times = {key: [] for key in runs}
-        error = {}
-        for _ in range(arguments.rounds):
-            for key, run in runs.items():
-                began = time.process_time()
-                result = run()
-                took = time.process_time() - began
-                if key[0] == "castnet":
-                    took, result = result
-                times[key].append(took)
-                error[key] = float(np.linalg.norm((result - reference)[net["bullets"]], axis=1).max())
-    median = {key: statistics.median(values) for key, values in times.items()}
-    print(f"{'code':9} {'method':9} {'step':>9} {'seconds':>10} {'error, m':>10}")
-    for key in runs:
-        print(f"{key[0]:9} {key[1]:9} {key[2]:9.3g} {median[key]:10.5f} {error[key]:10.2e}")
-    figure, axis = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
-    for code, method in dict.fromkeys(key[:2] for key in runs):
-        chosen = [key for key in runs if key[:2] == (code, method)]
-        axis.plot([median[key] for key in chosen], [error[key] for key in chosen], marker="s" if method == "midpoint" else "o",
-                  linestyle="--" if method == "midpoint" else "-", color=COLOURS[code], label=f"{code}, {method}")
-    axis.set(xscale="log", yscale="log", xlabel=f"time of a run of {END} s, s (one core)", ylabel="error of the bullets, m")
-    axis.grid(alpha=0.25)
-    axis.legend(fontsize="x-small", ncols=2)
-    figure.savefig(arguments.output, dpi=160)
-    print(arguments.output)
+        castnet = Castnet(find_castnet(arguments.castnet), folder)
+        if "capture" in parts:
+            compare_captures(castnet, arguments.rounds, table)
+        if "precision" in parts:
+            compare_precision(castnet, arguments.rounds, table)
+        if "kernel" in parts:
+            compare_kernels(castnet, arguments.rounds, map(int, arguments.squares.split(",")), table)
+    if "precision" in parts and "kernel" in parts:
+        draw(table, arguments.output)
+    if arguments.csv:
+        with open(arguments.csv, "w", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow(("part", "code", "method", "nodes", "step", "seconds", "ratio", "error", "error_mouth"))
+            writer.writerows(table)
 
 
 if __name__ == "__main__":
