@@ -258,6 +258,10 @@ contains
                 's.nml:3: part(2)/shap: there is no such key; did you mean shape?|s.nml:3: part(2)/shape: missing|'// &
                 's.nml:3: part(2)/dimensions: missing')
     call refuse(start//'shape=''sphere'' dimensions=1 attitude = 4*0 /'//nl//time, 'target/attitude: seen a quaternion of length 0')
+    call refuse(start//'shape=''sphere'' dimensions=1 phase = 30 /'//nl//time, &
+                'target/phase: seen 30 for a body that does not turn; give phase_axis')
+    call refuse(start//'shape=''sphere'' dimensions=1 phase = 30 phase_axis = 3*0 /'//nl//time, &
+                'target/phase_axis: seen an axis of no length')
     call refuse('&target shape=''sphere'' dimensions=1 mass=1 position(1) = 1 position(2) = 0 /'//nl//time, &
                 's.nml:1: target/position: seen 2 of its components; allowed: 3')
     call refuse(net//body//contact//time//'&output verdict_times = 1 4 /', &

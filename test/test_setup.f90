@@ -20,6 +20,7 @@ contains
     call test_case('setup: step = 0 takes 0.7 of the limit, or what threshold and spin allow', chosen_steps)
     call test_case('setup: a step above the limit is refused, or warned of', refused_steps)
     call test_case('setup: at zeta = 2 the damped limit counts', damped_limit)
+    call test_case('setup: a body starts where its phase says', phases)
     call test_case('setup: a perturbed start does not loosen the limit', perturbed_limit)
   end subroutine run_test_setup
 
@@ -42,6 +43,39 @@ contains
     scene%target%mass = 3.5_wp
     scene%target%position = [1.4_wp, 0.0_wp, 0.0_wp]
   end subroutine add_target
+
+  !> Closed forms: a quarter turn about y, about the body's z.
+  subroutine phases()
+    real(wp), parameter :: r = 0.70710678118654752440_wp
+    type(scene_t) :: scene
+    scene = cubesat_shot()
+    call add_target(scene)
+    scene%target%phase = 90.0_wp
+    scene%target%angular_velocity = [0.0_wp, 1.5_wp, 0.0_wp]
+    call expect_close(attitude(), [r, 0.0_wp, r, 0.0_wp], 'about the rate, from 1 0 0 0', atol=1.0e-15_wp)
+    scene%target%attitude = [r, 0.0_wp, r, 0.0_wp]
+    call expect_close(attitude(), [0.0_wp, 0.0_wp, 1.0_wp, 0.0_wp], 'on top of the attitude', atol=1.0e-15_wp)
+    scene%target%angular_velocity = [0.0_wp, -3.0_wp, 0.0_wp]
+    call expect_close(attitude(), [1.0_wp, 0.0_wp, 0.0_wp, 0.0_wp], 'the other way round', atol=1.0e-15_wp)
+    ! Body axes: z of this body lies along x, so a turn about its z is one about x.
+    scene%target%phase_axis = [0.0_wp, 0.0_wp, 7.0_wp]
+    call expect_close(attitude(), [0.5_wp, 0.5_wp, 0.5_wp, 0.5_wp], 'about an axis of the body', atol=1.0e-15_wp)
+    scene%target%phase = 0.0_wp
+    call expect_close(attitude(), [r, 0.0_wp, r, 0.0_wp], 'no phase', atol=0.0_wp)
+  contains
+    function attitude() result(q)
+      real(wp) :: q(4)
+      type(model_t) :: model
+      type(state_t) :: state
+      type(work_t) :: work
+      type(step_report_t) :: report
+      type(error_t), allocatable :: error
+      type(file_net_t), allocatable :: no_file
+      call set_up(scene, 1, no_file, model, state, work, report, error)
+      call expect(.not. allocated(error), 'no error')
+      q = state%target%attitude
+    end function attitude
+  end subroutine phases
 
   subroutine chosen_steps()
     type(scene_t) :: scene

@@ -6,7 +6,7 @@ module test_study
   use castnet_posix, only: process_id, remove_file, append_file, read_file
   use castnet_rng, only: rng_t, seed_rng, uniform
   use castnet_sobol, only: sobol_point, latin_hypercube
-  use castnet_study_design, only: design_t, new_design, case_values, case_seed
+  use castnet_study_design, only: design_t, new_design, case_point, case_values, case_seed, is_drawn
   use castnet_study_journal, only: journal_t, open_journal, append_case
   use castnet_study_record, only: case_row_t, case_done
   use castnet_study_request, only: study_request_t
@@ -34,6 +34,7 @@ contains
     call test_case('study: Sobol''s points', test_sobol)
     call test_case('study: a Latin hypercube has one point in each row and column', test_hypercube)
     call test_case('study: a grid runs through every combination, each case with its own seed', test_grid)
+    call test_case('study: each combination has a search of its own, drawn keys are drawn', test_search_cases)
     call test_case('study: a threshold on a logistic curve is found and its interval holds it', test_threshold)
     call test_case('study: a curve that is not monotone shows both crossings', test_two_crossings)
     call test_case('study: the optimum of a hump', test_optimum)
@@ -154,6 +155,44 @@ contains
       end do
     end do
   end subroutine test_grid
+
+  !> Three values of a list, a drawn key, searches of at most 20 runs: cases 1 to 20 belong to
+  !> the first value, 21 to 40 to the second; every case has its own draw.
+  subroutine test_search_cases()
+    type(study_request_t) :: request
+    type(design_t) :: design
+    type(error_t), allocatable :: error
+    type(text_t), allocatable :: text(:)
+    real(wp), allocatable :: number(:)
+    real(wp) :: drawn(60)
+    integer :: k
+    allocate (request%vary(2), request%search)
+    request%study%question = 'threshold'
+    request%study%seeds = 7                       ! runs at a time: no matter here
+    request%search%budget = 20
+    request%vary(1)%key = 'a/b'
+    request%vary(1)%values = [character(len=24) :: '1.5', '2.5', '9']
+    request%vary(2)%key = 'c/d'
+    request%vary(2)%distribution = 'uniform'
+    request%vary(2)%from = 10.0_wp
+    request%vary(2)%to = 20.0_wp
+    call new_design(design, request, error)
+    call expect(.not. allocated(error), 'no error')
+    call expect_equal(int(design%n_point), 3, 'searches')
+    call expect_equal(int(design%n_case), 60, 'most cases')
+    call expect(is_drawn(design, request%vary(2)) .and. .not. is_drawn(design, request%vary(1)), 'which key is drawn')
+    do k = 1, 60
+      call expect_equal(int(case_point(design, int(k, i8))), (k - 1)/20 + 1, 'search of a case')
+      call case_values(design, request, int(k, i8), text, number)
+      call expect_equal(text(1)%chars, trim(request%vary(1)%values((k - 1)/20 + 1)), 'value of its search')
+      drawn(k) = number(2)
+      call expect(drawn(k) >= 10.0_wp .and. drawn(k) <= 20.0_wp .and. .not. any(drawn(:k - 1) == drawn(k)), 'drawn anew')
+    end do
+    request%study%question = 'map'                ! then &search has no effect
+    deallocate (design%size_of)
+    call new_design(design, request, error)
+    call expect_equal(int(design%n_case), 21, 'a map of the same file')
+  end subroutine test_search_cases
 
   !> Curve 1: logistic about 0.37, width 0.05. Curve 2: up at 0.3, down at 0.7.
   !> Curve 3: a hump at 0.6.

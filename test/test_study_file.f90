@@ -104,6 +104,12 @@ contains
     call refuse('&study scene = '''//base//''' question = ''threshold'' /', 's.nml:1: study/question: seen ''threshold'' without')
     call refuse('&study scene = '''//base//''' question = ''optimum'' /'//nl//'&search key = ''bullets/speed'' from = 2 to = 1 /', &
                 's.nml:2: search/to: seen 1; allowed: above from')
+    call refuse('&study scene = '''//base//''' question = ''threshold'' /'//nl// &
+                '&search key = ''bullets/speed'' from = 1 to = 2 budget = 17 /', &
+                's.nml:2: search/budget: seen 17; allowed: at least 18')
+    call refuse('&study scene = '''//base//''' question = ''threshold'' /'//nl// &
+                '&search key = ''bullets/speed'' from = 1 to = 2 budget = 1000000 /'//nl//rate//'from = 0 to = 1 count = 101 /', &
+                's.nml:1: study: 1.01e8 runs')
     call refuse('&study scene = '''//base//''' seeds = 1000000 /'//nl//rate//'from = 0 to = 1 count = 1000 /', &
                 's.nml:1: study: 1e9 runs')
     call refuse('&study scene = '''//base//''' file = ''s.nml'' /', 's.nml:1: study/file: seen ''s.nml'', which would overwrite')

@@ -10,10 +10,10 @@ module castnet_study_command
   use castnet_scene_files, only: scene_files
   use castnet_study, only: study_options_t, run_study, collect_study, journal_path
   use castnet_study_file, only: read_study
-  use castnet_study_request, only: study_request_t
+  use castnet_study_request, only: study_request_t, is_search
   use castnet_terminal, only: warn_lines
   use castnet_text, only: path_beside, text_t, without_extension, to_text
-  use castnet_version, only: version_number, git_commit
+  use castnet_version, only: version_number, git_commit, compiler_name, compiler_flags
   use omp_lib, only: omp_get_max_threads
   implicit none
   private
@@ -58,7 +58,11 @@ contains
     call new_log(log, options%quiet, .not. options%no_progress)
     call collect_study(request, base, study, log, missing, error)
     if (allocated(error)) return
-    if (missing > 0) call log_warning(log, to_text(missing)//' cases are missing; run castnet study for them')
+    if (missing > 0 .and. is_search(request)) then
+      call log_warning(log, to_text(missing)//' searches are not finished; run castnet study for them')
+    else if (missing > 0) then
+      call log_warning(log, to_text(missing)//' cases are missing; run castnet study for them')
+    end if
     call log_result(log, 'output           '//study%output)
   end subroutine collect_file
 
@@ -88,6 +92,8 @@ contains
     study%max_wall = options%max_wall
     study%force = options%force
     study%version = version_number//' '//git_commit()
+    study%compiler = compiler_name()
+    study%flags = compiler_flags()
   end subroutine prepare
 
   !> Neither the table nor the CSV nor the journal may be a file that the study reads.

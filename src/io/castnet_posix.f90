@@ -9,6 +9,7 @@ module castnet_posix
   implicit none
   private
   public :: create_file, append_file, read_file, copy_file, sync_path, rename_file, remove_file, remove_if_unchanged, link_file
+  public :: make_folder
   public :: path_kind, path_nothing, path_file, path_folder, path_other
   public :: file_size, same_file, may_write, longest_name, longest_path, free_space, reserve_space, release_space
   public :: is_terminal, process_id, process_is_alive, process_start, host_name
@@ -47,6 +48,10 @@ module castnet_posix
       import :: c_char, c_int
       character(kind=c_char), intent(in) :: from(*), to(*)
     end function castnet_rename
+    integer(c_int) function castnet_make_folder(path) bind(c)
+      import :: c_char, c_int
+      character(kind=c_char), intent(in) :: path(*)
+    end function castnet_make_folder
     integer(c_int) function castnet_remove_file(path) bind(c)
       import :: c_char, c_int
       character(kind=c_char), intent(in) :: path(*)
@@ -207,6 +212,12 @@ contains
     character(len=*), intent(in) :: from, to
     rename_file = castnet_rename(from//c_null_char, to//c_null_char)
   end function rename_file
+
+  !> Make a folder, if it is not there; the one that it stands in must be.
+  integer function make_folder(path)
+    character(len=*), intent(in) :: path
+    make_folder = castnet_make_folder(path//c_null_char)
+  end function make_folder
 
   integer function remove_file(path)
     character(len=*), intent(in) :: path

@@ -181,6 +181,15 @@ int castnet_sync_path(const char *path)
 
 int castnet_rename(const char *from, const char *to) { return rename(from, to) == 0 ? 0 : errno; }
 
+/* A folder that may be there already. */
+int castnet_make_folder(const char *path)
+{
+    struct stat s;
+    if (mkdir(path, 0777) == 0) return 0;
+    int status = errno;
+    return status == EEXIST && stat(path, &s) == 0 && S_ISDIR(s.st_mode) ? 0 : status;
+}
+
 int castnet_remove_file(const char *path) { return unlink(path) == 0 ? 0 : errno; }
 
 /* A second name for the same file; the new name must not exist. */

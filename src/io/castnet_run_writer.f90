@@ -31,7 +31,8 @@ module castnet_run_writer
                                    close_vtkhdf
   implicit none
   private
-  public :: run_writer_t, run_info_t, open_run, reopen_run, write_frame, write_history, flush_run, close_run
+  public :: run_writer_t, run_info_t, open_run, reopen_run, write_frame, write_history, flush_run, close_run, &
+            discard_run, run_bytes
   public :: status_complete, status_stopped, status_failed
 
   character(len=*), parameter :: status_complete = 'complete', status_stopped = 'stopped', status_failed = 'failed'
@@ -58,6 +59,7 @@ module castnet_run_writer
     type(surface_t), allocatable :: surface
     real(wp), allocatable :: node(:)              !! scratch: x y z of each node
     integer :: n_node = 0, n_cable = 0
+    integer(i8) :: expected = 0                   !! bytes of the whole file, at most
     character(len=:), allocatable :: session      !! name of this run's group in /meta/sessions
   end type run_writer_t
 
@@ -91,6 +93,7 @@ contains
       call create_vtkhdf(writer%vtk, writer%file, model, writer%surface, error)
     end if
     call flush_file(writer%file, error)
+    if (.not. allocated(error)) writer%expected = file_bytes(writer%file) + needed_bytes(writer, info)
     call check_room(writer, info, error)
     if (.not. allocated(error)) then
       ! Under its name the file can be opened from the first moment on.
@@ -245,13 +248,20 @@ contains
     integer(i8) :: needed, left
     if (allocated(error)) return
     left = free_space(folder_of(writer%part)//'.')
-    needed = tail + frame_growth(writer, max(0_i8, info%expected_frames - info%schedule%frames)) &
-             + history_growth(writer%history, max(0_i8, info%expected_rows - info%schedule%rows))
+    needed = needed_bytes(writer, info)
     if (left < 0 .or. left >= needed) return
     call fail(error, exit_file, "the disk of '"//writer%path//"' is too small: the run writes about "// &
               byte_text(real(needed, wp))//', '//byte_text(real(left, wp))// &
               ' are free; free disk space, choose another folder with --output or a longer output/frame_interval')
   end subroutine check_room
+
+  !> Most bytes that the run still adds to its file.
+  integer(i8) function needed_bytes(writer, info)
+    type(run_writer_t), intent(in) :: writer
+    type(run_info_t), intent(in) :: info
+    needed_bytes = tail + frame_growth(writer, max(0_i8, info%expected_frames - info%schedule%frames)) &
+                   + history_growth(writer%history, max(0_i8, info%expected_rows - info%schedule%rows))
+  end function needed_bytes
 
   !> Do the series reach as far as the checkpoint, and are they of this net?
   subroutine check_frames(writer, frames, rows, error)
@@ -408,6 +418,21 @@ contains
                                        'the file is complete: rename it yourself')
     number = sync_path(folder_of(writer%path)//'.')
   end subroutine close_run
+
+  !> Bytes that a new run's file takes in the end, at most.
+  pure integer(i8) function run_bytes(writer)
+    type(run_writer_t), intent(in) :: writer
+    run_bytes = writer%expected
+  end function run_bytes
+
+  !> Close a run that is of no use and take its file away.
+  subroutine discard_run(writer)
+    type(run_writer_t), intent(inout) :: writer
+    integer :: ignored
+    if (.not. writer%file%is_open) return
+    call close_quietly(writer)
+    ignored = remove_file(writer%part)
+  end subroutine discard_run
 
   subroutine close_everything(writer, error)
     type(run_writer_t), intent(inout) :: writer

@@ -273,6 +273,13 @@ contains
     associate (t => scene%target)
       call check_dimensions(t%shape, t%dimensions, place%table, scene%path, place%last_line, 'target', problems)
       call check_quaternion(t%attitude, place%table, scene%path, place%last_line, 'target', problems, warnings)
+      if (all(is_set(t%phase_axis))) then
+        if (all(t%phase_axis == 0.0_wp)) call tell(problems, scene%path, place%table, place%last_line, 'target', 'phase_axis', &
+          'seen an axis of no length; allowed: any other, it is normalised')
+      else if (t%phase /= 0.0_wp .and. all(t%angular_velocity == 0.0_wp)) then
+        call tell(problems, scene%path, place%table, place%last_line, 'target', 'phase', &
+                  'seen '//to_text(t%phase)//' for a body that does not turn; give phase_axis')
+      end if
       if (all(is_set(t%inertia))) then
         if (.not. is_inertia(t%inertia)) call tell(problems, scene%path, place%table, place%last_line, 'target', 'inertia', &
           'no body has this tensor; allowed: xx yy zz xy xz yz, positive definite, no principal moment above the sum '// &

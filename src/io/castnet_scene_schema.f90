@@ -116,6 +116,10 @@ contains
                         low=-1.0e6_wp, high=1.0e6_wp)
       call t%real_array('angular_velocity', g%angular_velocity, 'rad/s', 'rate at t = 0, body axes', &
                         low=-1.0e5_wp, high=1.0e5_wp)
+      call t%real_key('phase', g%phase, 'degree', 'turns the attitude at t = 0 about phase_axis: where in its '// &
+                      'tumbling the body starts', low=-1.0e6_wp, high=1.0e6_wp)
+      call t%real_array('phase_axis', g%phase_axis, '-', 'axis of phase, body axes, any length', &
+                        low=-1.0e6_wp, high=1.0e6_wp, fallback='the direction of angular_velocity')
       call t%logical_key('fixed', g%fixed, 'held in place: neither moves nor turns')
       call t%real_array('external_force', g%external_force, 'N', 'constant force at the centre of mass, inertial axes', &
                         low=-1.0e15_wp, high=1.0e15_wp)

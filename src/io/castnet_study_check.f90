@@ -7,7 +7,8 @@ module castnet_study_check
   use castnet_scene_schema, only: set_key, get_key, split_key, key_reference_t, allocate_all_groups
   use castnet_schema, only: schema_t
   use castnet_schema_fill, only: tell
-  use castnet_study_request, only: study_request_t, vary_group_t, grid_size, grid_value
+  use castnet_study_request, only: study_request_t, vary_group_t, grid_size, grid_value, &
+                                   is_search, first_points
   use castnet_text, only: to_text, quoted, path_beside, without_extension, lower
   implicit none
   private
@@ -254,6 +255,10 @@ contains
         if (s%from >= s%to) call tell(problems, request%path, place%table, place%last_line, 'search', 'to', &
           'seen '//to_text(s%to)//'; allowed: above from = '//to_text(s%from))
       end if
+      if (request%study%question == 'threshold' .and. s%budget < 2*first_points) &
+        call tell(problems, request%path, place%table, place%last_line, 'search', 'budget', 'seen '//to_text(s%budget)// &
+                  '; allowed: at least '//to_text(2*first_points)//', two runs at each of the '//to_text(first_points)// &
+                  ' points that are looked at first')
       if (len_trim(s%key) == 0) return
       do i = 1, size(request%vary)
         if (same_key(request%vary(i)%key, s%key)) call tell(problems, request%path, place%table, place%last_line, 'search', 'key', &
@@ -279,6 +284,7 @@ contains
     real(wp) :: cases
     integer :: i
     cases = real(request%study%seeds, wp)
+    if (is_search(request)) cases = real(request%search%budget, wp)
     if (request%sample%kind == 'grid') then
       do i = 1, size(request%vary)
         cases = cases*real(max(1, grid_size(request%vary(i))), wp)

@@ -23,7 +23,8 @@ contains
       call t%long_key('seed', g%seed, 'seed of the study: each case''s own seed follows from it')
       call t%word_key('question', g%question, 'map threshold optimum', 'all points; where the probability of '// &
                       'capture crosses a value; where it is best')
-      call t%integer_key('seeds', g%seeds, 'runs per point, each with its own draws of &perturb', 1, 10000000)
+      call t%integer_key('seeds', g%seeds, 'runs per point, each with its own draws of &perturb; in a search, '// &
+                         'runs added to a point at a time', 1, 10000000)
       call t%word_key('record', g%record, 'table runs', 'a row per case, or also each run''s own file')
       call t%path_key('file', g%file, 'HDF5 file of the results, seen from the study''s folder; --output wins', &
                       fallback='the study''s name with .h5, beside it')
@@ -35,7 +36,9 @@ contains
     end associate
     if (.not. allocated(request%search)) return
     associate (t => table, g => request%search)
-      call t%group('search', 'For the questions ''threshold'' and ''optimum'': along which key, and how sure.')
+      call t%group('search', 'For the questions ''threshold'' and ''optimum'': along which key, and how sure. '// &
+                   'Each combination of the &vary keys has a search of its own; keys drawn '// &
+                   'from a distribution are drawn for each run.')
       call t%path_key('key', g%key, 'key along which is searched', need='always', noun=key_noun)
       call t%real_key('from', g%from, '', 'lower end', need='always')
       call t%real_key('to', g%to, '', 'upper end', need='always')
@@ -43,7 +46,7 @@ contains
                       low=1.0e-6_wp, high=0.999999_wp, use='question = ''threshold''')
       call t%real_key('confidence', g%confidence, '-', 'confidence of the interval that is told', &
                       low=0.5_wp, high=0.999999_wp)
-      call t%integer_key('budget', g%budget, 'most runs', 1, 100000000)
+      call t%integer_key('budget', g%budget, 'most runs of one search', 2, 100000000)
     end associate
   end subroutine study_table
 

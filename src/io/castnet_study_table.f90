@@ -6,7 +6,7 @@ module castnet_study_table
   use castnet_hdf5_file, only: hdf5_file_t, location_t, create_hdf5, close_file, flush_file, make_group, close_group, &
                                write_array, write_text, write_value, make_scale, attach_scales, set_attribute
   use castnet_posix, only: create_file, rename_file, remove_file, sync_path, file_failure
-  use castnet_study_record, only: case_row_t, point_row_t, n_measure, measure_name, measure_units, reason_length
+  use castnet_study_record, only: case_row_t, point_row_t, search_row_t, n_measure, measure_name, measure_units, reason_length
   use castnet_text, only: to_text, text_t, without_extension, replace_all
   implicit none
   private
@@ -22,11 +22,12 @@ contains
   end function column_name
 
   !> Write PATH (HDF5) and the CSV beside it. Errors: exit_file; the table before stays.
-  subroutine write_study_table(path, keys, rows, points, notes, error)
+  subroutine write_study_table(path, keys, rows, points, searches, notes, error)
     character(len=*), intent(in) :: path
     type(text_t), intent(in) :: keys(:)              !! varied keys
     type(case_row_t), intent(in) :: rows(:)          !! by case
     type(point_row_t), intent(in) :: points(:)
+    type(search_row_t), intent(in) :: searches(:)    !! none for a map
     type(text_t), intent(in) :: notes(:)             !! name, text, name, text, ... for /meta
     type(error_t), allocatable, intent(inout) :: error
     type(hdf5_file_t) :: file
@@ -42,6 +43,11 @@ contains
     call make_group(file, file%root, 'point', group, error)
     call write_points(file, group, keys, points, error)
     call close_group(file, group)
+    if (size(searches) > 0) then
+      call make_group(file, file%root, 'search', group, error)
+      call write_searches(file, group, keys(:size(keys) - 1), searches, error)
+      call close_group(file, group)
+    end if
     call make_group(file, file%root, 'meta', group, error)
     do i = 1, size(notes) - 1, 2
       call write_text(file, group, notes(i)%chars, notes(i + 1)%chars, error)
@@ -171,6 +177,49 @@ contains
     end subroutine doubles
 
   end subroutine write_points
+
+  !> One row for each combination of the keys besides the searched one.
+  subroutine write_searches(file, group, keys, searches, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: group
+    type(text_t), intent(in) :: keys(:)
+    type(search_row_t), intent(in) :: searches(:)
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: i, k
+
+    call write_array(file, group, 'search', [(int(i, i8), i=1, size(searches))], '1', error)
+    call make_scale(file, group, 'search', error)
+    do k = 1, size(keys)
+      call doubles(column_name(keys(k)%chars), [(searches(i)%varied(k), i=1, size(searches))])
+      call set_attribute(file, group, column_name(keys(k)%chars), 'key', keys(k)%chars, error)
+    end do
+    call counts('runs', int(searches%runs, i4))
+    call counts('crossings', int(searches%crossings, i4))
+    call counts('found', merge(1_i4, 0_i4, searches%found))
+    call doubles('estimate', searches%estimate)
+    call doubles('lower', searches%lower)
+    call doubles('upper', searches%upper)
+    call doubles('probability', searches%probability)
+    call doubles('probability_lower', searches%probability_lower)
+    call doubles('probability_upper', searches%probability_upper)
+
+  contains
+
+    subroutine counts(name, values)
+      character(len=*), intent(in) :: name
+      integer(i4), intent(in) :: values(:)
+      call write_array(file, group, name, values, '1', error)
+      call attach_scales(file, group, name, ['search'], error)
+    end subroutine counts
+
+    subroutine doubles(name, values)
+      character(len=*), intent(in) :: name
+      real(wp), intent(in) :: values(:)
+      call write_array(file, group, name, values, '1', error)
+      call attach_scales(file, group, name, ['search'], error)
+    end subroutine doubles
+
+  end subroutine write_searches
 
   !> One row a case, numbers to the last bit.
   subroutine write_csv(path, keys, rows, error)

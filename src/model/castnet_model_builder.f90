@@ -1,5 +1,6 @@
 !> From a scene to the model of a run and its state at t = 0.
 module castnet_model_builder
+  use castnet_constants, only: pi
   use castnet_kinds, only: wp, i8
   use castnet_error, only: error_t, fail, exit_input
   use castnet_model, only: model_t, target_t, contact_t, closing_t, law_impulse, law_penalty, law_hunt_crossley, &
@@ -8,12 +9,13 @@ module castnet_model_builder
   use castnet_net_builder, only: square_net_nodes, build_square_net, finish_net
   use castnet_renumber, only: renumber_net
   use castnet_perturb, only: perturbation_t, draw_perturbation, apply_perturbation
-  use castnet_rotation, only: normalise_quaternion
+  use castnet_rotation, only: normalise_quaternion, quaternion_product
   use castnet_scene, only: scene_t, target_group_t, part_group_t, closing_group_t, is_set
   use castnet_shape, only: shape_t, new_shape, new_compound, new_mesh_shape, move_shape, unit_inertia, shape_centroid, &
                            shape_length
   use castnet_state, only: state_t, impulse_bins
   use castnet_text, only: path_beside, to_text
+  use castnet_trigonometry, only: sine_cosine
   implicit none
   private
   public :: file_net_t, build_model
@@ -72,11 +74,13 @@ contains
 
     if (allocated(scene%target)) then
       allocate (model%target, state%target)
+      !$omp critical (castnet_text)
       call build_target(scene%target, scene%parts, mesh_path(scene), model%target, error)
+      !$omp end critical (castnet_text)
       if (allocated(error)) return
       state%target%position = scene%target%position
       state%target%velocity = scene%target%velocity
-      state%target%attitude = normalise_quaternion(scene%target%attitude)
+      state%target%attitude = first_attitude(scene%target)
       state%target%angular_velocity = scene%target%angular_velocity
     end if
 
@@ -106,6 +110,21 @@ contains
     end select
     if (allocated(scene%perturb)) call apply_perturbation(drawn, model, state)
   end subroutine build_model
+
+  !> The attitude at t = 0: the scene's, turned by `phase` about an axis of the body. The
+  !> rate is in body axes and stays.
+  pure function first_attitude(target) result(q)
+    type(target_group_t), intent(in) :: target
+    real(wp) :: q(4), axis(3), s, c
+    q = normalise_quaternion(target%attitude)
+    if (target%phase == 0.0_wp) return
+    axis = target%angular_velocity
+    if (all(is_set(target%phase_axis))) axis = target%phase_axis
+    axis = axis/maxval(abs(axis))
+    axis = axis/sqrt(axis(1)**2 + axis(2)**2 + axis(3)**2)
+    call sine_cosine(target%phase*pi/360.0_wp, s, c)
+    q = normalise_quaternion(quaternion_product(q, [c, s*axis(1), s*axis(2), s*axis(3)]))
+  end function first_attitude
 
   !> The mesh file, seen from the scene's folder.
   function mesh_path(scene) result(path)

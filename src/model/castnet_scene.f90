@@ -48,6 +48,8 @@ module castnet_scene
     real(wp) :: velocity(3) = 0.0_wp                !! inertial [m/s]
     real(wp) :: attitude(4) = [1.0_wp, 0.0_wp, 0.0_wp, 0.0_wp] !! body to inertial, scalar first
     real(wp) :: angular_velocity(3) = 0.0_wp        !! body axes [rad/s]
+    real(wp) :: phase = 0.0_wp                      !! turn of the attitude about phase_axis [degree]
+    real(wp) :: phase_axis(3) = unset               !! body axes; default the direction of angular_velocity
     logical :: fixed = .false.
     real(wp) :: external_force(3) = 0.0_wp          !! inertial [N]
     real(wp) :: external_torque(3) = 0.0_wp         !! body axes [N m]

@@ -3,7 +3,7 @@ module castnet_study_record
   use castnet_kinds, only: wp, i8
   implicit none
   private
-  public :: case_row_t, point_row_t, n_measure, measure_name, measure_units
+  public :: case_row_t, point_row_t, search_row_t, n_measure, measure_name, measure_units
   public :: case_done, case_invalid, case_failed, case_missing, reason_length
 
   integer, parameter :: case_missing = -1  !! not run yet
@@ -36,5 +36,17 @@ module castnet_study_record
     real(wp) :: probability = 0.0_wp, lower = 0.0_wp, upper = 1.0_wp
     real(wp), allocatable :: varied(:)
   end type point_row_t
+
+  !> What one search found; NaN where the question has no such number.
+  type :: search_row_t
+    real(wp), allocatable :: varied(:)        !! the keys besides the searched one
+    integer :: runs = 0
+    integer :: crossings = 0                  !! of a threshold: intervals over which the estimate crosses
+    logical :: found = .false.
+    real(wp) :: estimate = 0.0_wp             !! of the searched key
+    real(wp) :: lower = 0.0_wp, upper = 0.0_wp
+    real(wp) :: probability = 0.0_wp          !! asked for, or at the best value
+    real(wp) :: probability_lower = 0.0_wp, probability_upper = 0.0_wp
+  end type search_row_t
 
 end module castnet_study_record

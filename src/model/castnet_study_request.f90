@@ -7,6 +7,9 @@ module castnet_study_request
   implicit none
   private
   public :: study_request_t, study_group_t, vary_group_t, sample_group_t, search_group_t, grid_size, grid_value
+  public :: is_search, first_points
+
+  integer, parameter :: first_points = 9            !! of a threshold: looked at before anything is assumed
 
   type :: study_group_t
     character(len=path_length) :: scene = ''        !! base scene, seen from the study's folder
@@ -39,7 +42,7 @@ module castnet_study_request
     real(wp) :: from = unset, to = unset
     real(wp) :: probability = 0.5_wp                !! the value that P(capture) crosses
     real(wp) :: confidence = 0.95_wp                !! of the interval that is told
-    integer :: budget = 1000                        !! most runs
+    integer :: budget = 1000                        !! most runs, for each combination of the varied keys
   end type search_group_t
 
   type :: study_request_t
@@ -53,6 +56,12 @@ module castnet_study_request
   end type study_request_t
 
 contains
+
+  !> Does the study choose its own points along a key?
+  pure logical function is_search(request)
+    type(study_request_t), intent(in) :: request
+    is_search = request%study%question /= 'map' .and. allocated(request%search)
+  end function is_search
 
   !> Points of a list or grid; 0 for a range or a distribution.
   pure integer function grid_size(vary)

@@ -245,16 +245,22 @@ contains
     if (allocated(model%net)) then
       node = first_bad_node(model%net%n_node, state%node_position, state%node_velocity)
       if (node > 0 .and. allocated(model%net%original_node)) node = model%net%original_node(node)
-      if (node > 0) call fail(error, exit_numerical, moment(state)//': the motion of net node '//number(int(node - 1, i8))// &
-        ' (counted from 0) is no finite number any more; try a smaller time/step or a larger net/damping_ratio')
+      if (node > 0) then
+        !$omp critical (castnet_text)
+        call fail(error, exit_numerical, moment(state)//': the motion of net node '//number(int(node - 1, i8))// &
+          ' (counted from 0) is no finite number any more; try a smaller time/step or a larger net/damping_ratio')
+        !$omp end critical (castnet_text)
+      end if
     end if
     if (.not. allocated(model%target)) return
     associate (body => state%target)
       if (all(is_finite(body%position)) .and. all(is_finite(body%velocity)) .and. all(is_finite(body%attitude)) .and. &
           all(is_finite(body%angular_velocity))) return
     end associate
+    !$omp critical (castnet_text)
     call fail(error, exit_numerical, moment(state)// &
               ': the target''s motion is no finite number any more; try a smaller time/step')
+    !$omp end critical (castnet_text)
   end subroutine check_finite
 
   !> 'step 120, t = 0.006 s'.

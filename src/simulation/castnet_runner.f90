@@ -27,7 +27,7 @@ module castnet_runner
   use castnet_text, only: to_text, text_t
   implicit none
   private
-  public :: run_options_t, run_ledger_t, run_scene, prepare_scene
+  public :: run_options_t, run_ledger_t, run_scene, prepare_scene, open_writer, observe
 
   !> Node-steps between two looks at the signals and the clock: some milliseconds at the
   !> most, a single step of a large net.
@@ -53,6 +53,7 @@ module castnet_runner
     type(history_row_t) :: first, last
     real(wp) :: largest_rise = 0.0_wp         !! of energy less the works done on it, between two rows [J]
     real(wp) :: min_impulse = 0.0_wp          !! [N s]
+    real(wp) :: max_impulse = 0.0_wp          !! bullets excluded [N s]
     real(wp) :: deepest_penetration = 0.0_wp  !! [m]
     real(wp) :: contact_residual = 0.0_wp     !! [m/s]
     real(wp) :: max_tension = 0.0_wp          !! [N]
@@ -288,6 +289,7 @@ contains
     ledger%started = .true.
     ledger%last = row
     ledger%min_impulse = min(ledger%min_impulse, row%min_impulse)
+    ledger%max_impulse = max(ledger%max_impulse, row%max_impulse)
     ledger%deepest_penetration = max(ledger%deepest_penetration, row%deepest_penetration)
     ledger%contact_residual = max(ledger%contact_residual, row%contact_residual)
     ledger%max_tension = max(ledger%max_tension, row%max_tension)

@@ -89,13 +89,17 @@ contains
         net_limit = report%stable_limit
         call widen_by_thread(report%spectrum, model%closing, model%net)
         report%stable_limit = largest_stable_step(model%method, report%spectrum)
+        !$omp critical (castnet_text)
         thread = ' with its closing thread (without it '//to_text(net_limit)//' s)'
+        !$omp end critical (castnet_text)
       end if
       if (is_compliant(model)) then
         net_limit = report%stable_limit
         call widen_by_contact(report%spectrum, scene, model, state)
         report%stable_limit = largest_stable_step(model%method, report%spectrum)
+        !$omp critical (castnet_text)
         thread = thread//' with the springs of its contact (without them '//to_text(net_limit)//' s)'
+        !$omp end critical (castnet_text)
       end if
     end if
 
@@ -105,11 +109,13 @@ contains
       if (report%step <= report%stable_limit) return
       report%unstable = .true.
       if (scene%time%allow_unstable) return
+      !$omp critical (castnet_text)
       call fail(error, exit_input, 'time/step: '//to_text(scene%time%step)//' s is above the stability limit of '// &
                 trim(scene%time%method)//' on this net'//thread//', '//to_text(report%stable_limit)//' s (highest frequency '// &
                 to_text(report%spectrum%highest_frequency)//' rad/s, largest damping rate '// &
                 to_text(report%spectrum%largest_damping_rate)//' 1/s); give step = 0 to have one chosen, or '// &
                 'allow_unstable = .true. to be warned only')
+      !$omp end critical (castnet_text)
       return
     end if
 

@@ -242,10 +242,12 @@ contains
       node = maxloc(speed, dim=1)
       shown = node
       if (allocated(sim%model%net%original_node)) shown = sim%model%net%original_node(node)
+      !$omp critical (castnet_text)
       call fail(error, exit_numerical, 'step '//to_text(sim%state%step)//', t = '//to_text(sim%state%time)// &
                 ' s: the energy has grown to '//to_text(energy)//' J where at most '//to_text(given)// &
                 ' J were put in; the fastest node is '//to_text(shown - 1)//' (counted from 0) at '// &
                 to_text(sqrt(speed(node)))//' m/s; try a smaller time/step than '//to_text(sim%model%step)//' s')
+      !$omp end critical (castnet_text)
     end associate
   end subroutine guard
 

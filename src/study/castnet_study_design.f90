@@ -1,23 +1,24 @@
 !> Which cases a study consists of: the points, and for each point its runs. A case is
-!> known by its number alone: case = (point - 1) seeds + run. Its seed and every drawn
-!> value follow from the study's seed and that number, so neither order, threads, shards
-!> nor machines matter.
+!> known by its number alone: case = (point - 1) stride + run, where the stride is the runs
+!> of a point, or the budget of a search (whose points are the combinations of the other
+!> keys). Its seed and every drawn value follow from the study's seed and that number, so
+!> neither order, threads, shards nor machines matter.
 module castnet_study_design
   use castnet_kinds, only: wp, i8
   use castnet_error, only: error_t, fail, exit_input
   use castnet_rng, only: rng_t, seed_rng, uniform, normal, hash_seed, normal_quantile
   use castnet_sobol, only: sobol_point, latin_hypercube, sobol_dimensions
-  use castnet_study_request, only: study_request_t, vary_group_t, grid_size, grid_value
+  use castnet_study_request, only: study_request_t, vary_group_t, grid_size, grid_value, is_search
   use castnet_text, only: to_text, text_t
   implicit none
   private
-  public :: design_t, new_design, case_values, case_seed
+  public :: design_t, new_design, case_point, case_values, case_seed, is_drawn
 
   type :: design_t
     integer :: n_vary = 0
     integer(i8) :: n_point = 1
-    integer(i8) :: n_case = 1
-    integer(i8) :: seeds = 1
+    integer(i8) :: n_case = 1                !! of a search: at most
+    integer(i8) :: stride = 1                !! case numbers of a point
     integer(i8) :: seed = 0
     logical :: is_grid = .true.
     integer, allocatable :: size_of(:)       !! (n_vary) points along each grid key, 1 for drawn ones
@@ -36,7 +37,8 @@ contains
     integer :: i
 
     design%n_vary = size(request%vary)
-    design%seeds = max(1, request%study%seeds)
+    design%stride = max(1, request%study%seeds)
+    if (is_search(request)) design%stride = request%search%budget
     design%seed = request%study%seed
     design%is_grid = request%sample%kind == 'grid'
     allocate (design%size_of(design%n_vary), source=1)
@@ -61,7 +63,7 @@ contains
         end do
       end if
     end if
-    design%n_case = design%n_point*design%seeds
+    design%n_case = design%n_point*design%stride
   end subroutine new_design
 
   !> The seed of one case.
@@ -70,6 +72,20 @@ contains
     integer(i8), intent(in) :: case
     case_seed = hash_seed(design%seed, case)
   end function case_seed
+
+  !> The point that a case belongs to.
+  pure integer(i8) function case_point(design, case)
+    type(design_t), intent(in) :: design
+    integer(i8), intent(in) :: case             !! from 1
+    case_point = (case - 1)/design%stride + 1
+  end function case_point
+
+  !> Is a value of this key drawn anew for each run, rather than belonging to a point?
+  pure logical function is_drawn(design, vary)
+    type(design_t), intent(in) :: design
+    type(vary_group_t), intent(in) :: vary
+    is_drawn = design%is_grid .and. .not. allocated(vary%values) .and. len_trim(vary%distribution) > 0
+  end function is_drawn
 
   !> Values of the varied keys of one case, as namelist text and as numbers for the table
   !> (a word: its place in the list; a logical: 0 or 1).
@@ -83,7 +99,7 @@ contains
     integer(i8) :: point, rest
     integer :: i, k
 
-    point = (case - 1)/design%seeds + 1
+    point = case_point(design, case)
     allocate (text(design%n_vary), number(design%n_vary))
     call seed_rng(rng, hash_seed(design%seed + draw_stream, case))
     rest = point - 1
@@ -97,7 +113,7 @@ contains
           number(i) = listed(v, k)
           text(i)%chars = trim(v%values(k))
           cycle
-        else if (len_trim(v%distribution) > 0) then
+        else if (is_drawn(design, v)) then
           number(i) = drawn(v, rng)
         else
           number(i) = grid_value(v, k)

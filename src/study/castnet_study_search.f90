@@ -4,6 +4,7 @@ module castnet_study_search
   use castnet_kinds, only: wp
   use castnet_interval, only: wilson_interval
   use castnet_rng, only: normal_quantile
+  use castnet_study_request, only: first_points
   implicit none
   private
   public :: sampler_t, search_result_t, find_threshold, find_optimum
@@ -34,10 +35,9 @@ module castnet_study_search
     real(wp) :: estimate = 0.0_wp                   !! of the first crossing, or the best value
     real(wp) :: lower = 0.0_wp, upper = 0.0_wp      !! its interval
     logical :: found = .false.
-    logical :: stopped = .false.
+    logical :: stopped = .false.                    !! the sampler gave up: not to be believed
   end type search_result_t
 
-  integer, parameter :: first_points = 9            !! looked at before anything is assumed
   integer, parameter :: finest = 64                 !! brackets are not halved below this part of the range
   integer, parameter :: optimum_points = 16
   real(wp), parameter :: ridge = 1.0e3_wp           !! largest slope that a fit is free to take, per range

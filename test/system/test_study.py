@@ -73,6 +73,104 @@ def write(folder, name, text):
         f.write(text)
 
 
+def check_overlap(folder):
+    """A target that starts inside the net's plane, among sound ones: named, and the rest is run."""
+    write(folder, "overlap.nml", "&study scene = 'scene.nml' /\n&vary key = 'target/position(1)' values = "
+          + ", ".join(["0.5"] * 19 + ["0.0"]) + " /\n")
+    r = run(folder, "study", "overlap.nml")
+    check(r.returncode == 0, "a study with a start inside the target ends with 0 " + r.stderr[-200:])
+    if r.returncode == 0:
+        rows = table(os.path.join(folder, "overlap.h5"))
+        print("      ", rows["case/status"][19], rows["case/reason"][19].decode())
+        check(bool((rows["case/status"][:19] == 0).all()), "and runs the others")
+
+
+def check_searches(folder):
+    """One search for each combination of the other keys; shards divide them; collect answers."""
+    write(folder, "search.nml", "&study scene = 'scene.nml' seed = 3 seeds = 4 question = 'threshold' /\n"
+          "&vary key = 'contact/restitution' values = 1.0, 0.5 /\n"
+          "&vary key = 'target/position(2)' distribution = 'uniform' from = -0.05 to = 0.05 /\n"
+          "&search key = 'net/mesh_length' from = 0.05 to = 0.25 probability = 0.3 budget = 60 /\n")
+    r = run(folder, "study", "search.nml", "--output", "whole.h5")
+    check(r.returncode == 0, "two searches end with 0 " + r.stderr[-200:])
+    whole = table(os.path.join(folder, "whole.h5"))
+    with h5py.File(os.path.join(folder, "whole.h5")) as f:
+        search = {k: v[()] for k, v in f["search"].items()}
+    e, point = whole["case/contact.restitution"], whole["case/point"]
+    check(search["contact.restitution"].tolist() == [1.0, 0.5] and (e == 1.0).any() and (e == 0.5).any(),
+          "each value of the other key has its search")
+    check(all((e[whole["case/case"] <= 60] == 1.0)) and all((e[whole["case/case"] > 60] == 0.5)), "with its own case numbers")
+    check(np.unique(whole["case/target.position(2)"]).size == e.size, "a drawn key is drawn for each run")
+    sound = whole["case/status"] == 0
+    check(all(whole["point/runs"][p - 1] == (sound & (point == p)).sum() and
+              whole["point/captured"][p - 1] == whole["case/captured"][sound & (point == p)].sum() for p in np.unique(point)),
+          "/case/point is the line of /point")
+    check(r.stdout.count("P(captured)") == 2 and "contact/restitution = 0.5: " in r.stdout, "and an answer for each")
+    r = run(folder, "study", "search.nml", "--shard", "2/2", "--output", "parts.h5")
+    r = run(folder, "collect", "search.nml", "--output", "parts.h5")
+    check("1 searches are not finished" in r.stderr and "not finished" in r.stdout, "collect says which search is not finished")
+    r = run(folder, "study", "search.nml", "--shard", "1/2", "--output", "parts.h5")
+    r = run(folder, "collect", "search.nml", "--output", "parts.h5")
+    check(r.returncode == 0 and same(whole, table(os.path.join(folder, "parts.h5"))), "sharded searches, same bits")
+    r = run(folder, "study", "search.nml", "--set", "vary(1)/values=1.0", "--shard", "1/2", "--output", "single.h5")
+    check(r.returncode == 2 and "cannot be divided" in r.stderr, "a single search cannot be divided")
+
+
+def check_runs(folder):
+    """record = 'runs': the same table, and each run's file; kills and lost files are made good."""
+    words = ["--set", "study/record=runs", "--output"]
+    write(folder, "kept.nml", STUDY.format(seeds=3))
+    run(folder, "study", "kept.nml", "--output", "plain.h5")
+    plain = table(os.path.join(folder, "plain.h5"))
+    r = run(folder, "study", "kept.nml", "--threads", "2", *words, "kept.h5")
+    check(r.returncode == 0 and same(plain, table(os.path.join(folder, "kept.h5"))), "with the runs' files, same table " + r.stderr[-200:])
+    check("30 runs of" in r.stderr, "and says beforehand what they take")
+    runs = os.path.join(folder, "kept.runs")
+    check(sorted(os.listdir(runs)) == [f"case_{k:06d}.h5" for k in range(1, 31)], "a file for each case")
+    with h5py.File(os.path.join(runs, "case_000030.h5")) as f:
+        check(f["summary/coverage"][-1] == plain["case/coverage"][29] and f["meta/status"][()] == b"complete",
+              "which is the run of its row")
+    os.remove(os.path.join(runs, "case_000007.h5"))
+    r = run(folder, "study", "kept.nml", *words, "kept.h5")
+    check(r.returncode == 0 and len(os.listdir(runs)) == 30 and same(plain, table(os.path.join(folder, "kept.h5"))),
+          "a lost file is made again")
+    rng = random.Random(5)
+    for _ in range(6):
+        p = subprocess.Popen([CASTNET, "study", "kept.nml", "--threads", "2", *words, "torn.h5", "--quiet"], cwd=folder,
+                             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        try:
+            p.wait(rng.uniform(0.1, 0.6))
+        except subprocess.TimeoutExpired:
+            p.send_signal(signal.SIGKILL)
+            p.wait()
+    r = run(folder, "study", "kept.nml", "--threads", "2", *words, "torn.h5")
+    torn = os.path.join(folder, "torn.runs")
+    sound = r.returncode == 0 and sorted(os.listdir(torn)) == sorted(os.listdir(runs))
+    for name in os.listdir(torn) if sound else []:
+        with h5py.File(os.path.join(torn, name)) as a, h5py.File(os.path.join(runs, name)) as b:
+            sound = sound and np.array_equal(a["node_position"][()], b["node_position"][()])
+    check(sound and same(plain, table(os.path.join(folder, "torn.h5"))), "killed six times, the same files and table")
+    big = ["--set", "study/seeds=100000", "--set", "output/frame_interval=1e-4"]
+    try:
+        r = run(folder, "study", "kept.nml", *words, "big.h5", *big, timeout=60)
+        check(r.returncode == 4 and "too small" in r.stderr and os.listdir(os.path.join(folder, "big.runs")) == [],
+              "more than the disk holds is refused before the first run")
+    except subprocess.TimeoutExpired:
+        print("skip  this disk holds terabytes")
+
+
+def check_races(folder):
+    """Thousands of the shortest cases: values pass through text, and threads must not meet there."""
+    write(folder, "body.nml", "&target shape = 'sphere' dimensions = 1 mass = 1 position = 0, 0, 0 /\n"
+          "&time end_time = 1e-3 step = 1e-3 /\n")
+    write(folder, "many.nml", "&study scene = 'body.nml' seed = 7 seeds = 4000 /\n"
+          "&vary key = 'target/velocity(1)' distribution = 'uniform' from = 1 to = 2 /\n")
+    run(folder, "study", "many.nml", "--threads", "1", "--output", "many1.h5")
+    run(folder, "study", "many.nml", "--threads", "4", "--output", "many4.h5")
+    one, four = (table(os.path.join(folder, f"many{n}.h5")) for n in (1, 4))
+    check(bool((one["case/status"] == 0).all()) and same(one, four), "4000 short cases on four threads, same bits")
+
+
 def main():
     folder = tempfile.mkdtemp(prefix="castnet_study_")
     write(folder, "scene.nml", SCENE)
@@ -147,6 +245,11 @@ def main():
         bad = table(os.path.join(folder, "bad.h5"))
         check(int((bad["case/status"] == 2).sum()) == 1 and b"stability limit" in bad["case/reason"][19]
               and int((bad["case/status"] == 0).sum()) == 19, "and names them")
+
+    check_overlap(folder)
+    check_searches(folder)
+    check_runs(folder)
+    check_races(folder)
 
     # Another study on the same journal is refused.
     write(folder, "s.nml", STUDY.format(seeds=5))
