@@ -13,6 +13,7 @@ program main
   use test_friction, only: run_test_friction
   use test_log, only: run_test_log
   use test_mesh, only: run_test_mesh
+  use test_monitors, only: run_test_monitors
   use test_net_builder, only: run_test_net_builder
   use test_net_file, only: run_test_net_file
   use test_output_files, only: run_test_output_files
@@ -56,6 +57,7 @@ program main
   call run_test_friction()
   call run_test_log()
   call run_test_mesh()
+  call run_test_monitors()
   call run_test_net_builder()
   call run_test_net_file()
   call run_test_output_files()

@@ -1,6 +1,8 @@
-/* The last net under the program: whatever ends it other than castnet_end_process is a bug
- * of ours, and the user is told so in a sentence or two and with exit code 1, not by a
- * language's backtrace or by a code that means something else.
+/* How the process speaks and ends.
+ *
+ * Whatever ends it other than castnet_end_process is a bug of ours, and the user is told so
+ * in a sentence or two and with exit code 1, not by a language's backtrace or by a code that
+ * means something else.
  *
  * Two ways lead here: a signal of the processor or of the C library (a wild address, an
  * abort), and the Fortran runtime, which says its sentence and calls exit with a code of
@@ -8,22 +10,36 @@
  * are made for that.
  */
 #define _GNU_SOURCE
+#include <errno.h>
 #include <signal.h>
+#include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
-static volatile sig_atomic_t ending = 0; /* castnet_end_process was called */
+static volatile sig_atomic_t ending = 0;        /* castnet_end_process was called */
+static volatile sig_atomic_t output_failed = 0; /* errno of a write to standard output */
 
-static void say(const char *text)
+/* 0 or errno. */
+static int put(int where, const char *text, int64_t n)
 {
-    size_t n = strlen(text);
     while (n > 0) {
-        ssize_t done = write(STDERR_FILENO, text, n);
-        if (done <= 0) return;
+        ssize_t done = write(where, text, (size_t)n);
+        if (done < 0 && errno == EINTR) continue;
+        if (done <= 0) return errno;
         text += done;
-        n -= (size_t)done;
+        n -= done;
     }
+    return 0;
+}
+
+static void say(const char *text) { put(STDERR_FILENO, text, (int64_t)strlen(text)); }
+
+/* Results for standard output. Fortran's own flush is silent on a full disk; here what
+ * could not be written is remembered, and castnet_end_process tells it. */
+void castnet_print(const char *text, int64_t n)
+{
+    if (output_failed == 0) output_failed = put(STDOUT_FILENO, text, n);
 }
 
 static void say_what_to_do(void)
@@ -56,6 +72,10 @@ static void on_exit_of_another(void)
     _exit(1);
 }
 
+/* Words for standard error. Where they cannot be written there is nobody to tell: a run
+ * does not end because the disk of its log is full. */
+void castnet_print_error(const char *text, int64_t n) { put(STDERR_FILENO, text, n); }
+
 void castnet_guard_process(void)
 {
     static const int caught[] = {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT};
@@ -76,5 +96,11 @@ void castnet_guard_process(void)
 void castnet_end_process(int code)
 {
     ending = 1;
+    if (output_failed != 0 && code == 0) {
+        say("castnet: standard output could not be written in full: ");
+        say(strerror(output_failed));
+        say("\n");
+        code = 4;
+    }
     exit(code);
 }

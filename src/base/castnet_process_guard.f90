@@ -1,10 +1,11 @@
-!> How the process begins and ends: whatever ends it in another way than `end_process` is
-!> told to the user as a bug of ours, exit code 1 (in the C file beside this one).
+!> How the process begins, speaks and ends: whatever ends it in another way than
+!> `end_process` is told to the user as a bug of ours, exit code 1, and results that could
+!> not be written are exit code 4 (in the C file beside this one).
 module castnet_process_guard
-  use, intrinsic :: iso_c_binding, only: c_int
+  use, intrinsic :: iso_c_binding, only: c_int, c_char, c_int64_t
   implicit none
   private
-  public :: guard_process, end_process
+  public :: guard_process, end_process, print_line, print_error
 
   interface
     !> To be called first: crashes and errors of the Fortran runtime end in one sentence.
@@ -15,6 +16,18 @@ module castnet_process_guard
       import :: c_int
       integer(c_int), value :: code
     end subroutine castnet_end_process
+
+    subroutine castnet_print(text, n) bind(c)
+      import :: c_char, c_int64_t
+      character(kind=c_char), intent(in) :: text(*)
+      integer(c_int64_t), value :: n
+    end subroutine castnet_print
+
+    subroutine castnet_print_error(text, n) bind(c)
+      import :: c_char, c_int64_t
+      character(kind=c_char), intent(in) :: text(*)
+      integer(c_int64_t), value :: n
+    end subroutine castnet_print_error
   end interface
 
 contains
@@ -24,5 +37,17 @@ contains
     integer, intent(in) :: code
     call castnet_end_process(int(code, c_int))
   end subroutine end_process
+
+  !> Lines of results to standard output. A failure is told when the process ends.
+  subroutine print_line(text)
+    character(len=*), intent(in) :: text
+    call castnet_print(text//new_line('a'), len(text, kind=c_int64_t) + 1)
+  end subroutine print_line
+
+  !> Words for standard error, as they are: no end of line is added, no failure told.
+  subroutine print_error(text)
+    character(len=*), intent(in) :: text
+    call castnet_print_error(text, len(text, kind=c_int64_t))
+  end subroutine print_error
 
 end module castnet_process_guard

@@ -1,7 +1,7 @@
 !> What goes to the user: results on standard output, all else on standard error,
 !> each message led by the program's name.
 module castnet_terminal
-  use, intrinsic :: iso_fortran_env, only: output_unit, error_unit
+  use castnet_process_guard, only: print_line, print_error
   implicit none
   private
   public :: say, tell, warn_lines
@@ -11,16 +11,14 @@ contains
   !> Lines of results.
   subroutine say(text)
     character(len=*), intent(in) :: text
-    write (output_unit, '(a)') text
-    flush (output_unit)
+    call print_line(text)
   end subroutine say
 
   !> A message for the user. The first line is led by 'castnet: '; lines that name a file
   !> and line stay as they are, for editors to jump to.
   subroutine tell(text)
     character(len=*), intent(in) :: text
-    write (error_unit, '(2a)') 'castnet: ', text
-    flush (error_unit)
+    call print_error('castnet: '//text//new_line('a'))
   end subroutine tell
 
   !> Warnings, one per line.

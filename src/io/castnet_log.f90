@@ -2,11 +2,11 @@
 !> on standard error; progress as one line that moves on a terminal, elsewhere as one line
 !> each 10 %. Colour only on a terminal, and not when NO_COLOR is set.
 module castnet_log
-  use, intrinsic :: iso_fortran_env, only: output_unit, error_unit
   use castnet_kinds, only: wp
   use castnet_error, only: error_t
   use castnet_text, only: to_text, duration_text
   use castnet_posix, only: is_terminal, wall_seconds
+  use castnet_process_guard, only: print_line, print_error
   implicit none
   private
   public :: log_t, new_log, log_result, log_note, log_warning, log_error, log_progress, end_progress
@@ -44,8 +44,7 @@ contains
     type(log_t), intent(inout) :: log
     character(len=*), intent(in) :: text
     call end_progress(log)
-    write (output_unit, '(a)') text
-    flush (output_unit)
+    call print_line(text)
   end subroutine log_result
 
   !> What may be of interest: standard error, unless quiet.
@@ -87,8 +86,7 @@ contains
       now = wall_seconds()
       if (now - log%drawn < redraw_interval .and. fraction < 1.0_wp) return
       log%drawn = now
-      write (error_unit, '(a)', advance='no') return//escape//'[K'//line(log, fraction, text)
-      flush (error_unit)
+      call print_error(return//escape//'[K'//line(log, fraction, text))
       log%line_is_open = .true.
     else if (tenths > log%tenths) then
       call write_error(line(log, fraction, text))
@@ -115,7 +113,7 @@ contains
   subroutine end_progress(log)
     type(log_t), intent(inout) :: log
     if (.not. log%line_is_open) return
-    write (error_unit, '(a)') ''
+    call print_error(new_line('a'))
     log%line_is_open = .false.
   end subroutine end_progress
 
@@ -129,8 +127,7 @@ contains
 
   subroutine write_error(text)
     character(len=*), intent(in) :: text
-    write (error_unit, '(a)') text
-    flush (error_unit)
+    call print_error(text//new_line('a'))
   end subroutine write_error
 
 end module castnet_log

@@ -3,9 +3,10 @@ module castnet_runner
   use castnet_kinds, only: wp, i8
   use castnet_checkpoint, only: write_checkpoint, read_checkpoint, checkpoint_path
   use castnet_diagnostics, only: cable_tensions
-  use castnet_error, only: error_t, fail, exit_stopped, exit_done, exit_file
+  use castnet_error, only: error_t, fail, exit_stopped, exit_done, exit_numerical
   use castnet_model, only: model_t
   use castnet_model_builder, only: file_net_t
+  use castnet_monitors, only: watch_t, watch_row, watch_rest, tell_watch
   use castnet_lock, only: lock_t, take_lock, release_lock
   use castnet_log, only: log_t, log_note, log_warning, log_progress, end_progress
   use castnet_output_files, only: check_output, protect_inputs, can_continue, stage_part, clear_leftovers
@@ -21,7 +22,7 @@ module castnet_runner
   use castnet_shape, only: tessellate
   use castnet_signals, only: install_signal_handlers, stop_request_code
   use castnet_simulation, only: simulation_t, due_t, start, run_to_next, is_finished, take_measures, take_row, &
-                                frame_taken, summarise
+                                frame_taken, summarise, guard
   use castnet_state, only: state_t
   use castnet_surface, only: surface_t
   use castnet_text, only: to_text, text_t
@@ -32,9 +33,6 @@ module castnet_runner
   !> Node-steps between two looks at the signals and the clock: some milliseconds at the
   !> most, a single step of a large net.
   integer, parameter :: node_steps_per_look = 20000
-
-  !> Velocity by which a contact event may miss its conditions before the user is warned [m/s].
-  real(wp), parameter :: residual_bound = 1.0e-6_wp
 
   !> What the command line says about a run.
   type :: run_options_t
@@ -57,6 +55,7 @@ module castnet_runner
     real(wp) :: deepest_penetration = 0.0_wp  !! [m]
     real(wp) :: contact_residual = 0.0_wp     !! [m/s]
     real(wp) :: max_tension = 0.0_wp          !! [N]
+    type(watch_t) :: watch
     logical :: started = .false.
   end type run_ledger_t
 
@@ -162,8 +161,12 @@ contains
       if (allocated(error) .or. stop_code /= exit_done) exit
     end do
     call end_progress(log)
-    call warn_of_residual(log, max(ledger%contact_residual, sim%state%tally%contact_residual))
+    call watch_rest(ledger%watch, sim%state, threshold_of(sim%model))
+    call tell_watch(log, ledger%watch)
 
+    if (allocated(error)) then
+      if (error%code == exit_numerical) call tell_what_is_left(error, options%output, sim%state)
+    end if
     status = status_complete
     if (stop_code /= exit_done) status = status_stopped
     if (allocated(error)) status = status_failed
@@ -173,14 +176,19 @@ contains
       ' s; go on with --restart '//checkpoint_path(options%output))
   end subroutine run_locked
 
-  !> Contact events that were not solved to the bound: said once, with the worst.
-  subroutine warn_of_residual(log, residual)
-    type(log_t), intent(inout) :: log
-    real(wp), intent(in) :: residual  !! largest of the run [m/s]
-    if (.not. residual > residual_bound) return
-    call log_warning(log, 'contact: the conditions of at least one event were missed by up to '//to_text(residual)// &
-      ' m/s, more than '//to_text(residual_bound)//' m/s; no energy was created; /history/contact_residual says when')
-  end subroutine warn_of_residual
+  !> Where a run that failed can be looked at, and what it can go on from.
+  subroutine tell_what_is_left(error, output, state)
+    type(error_t), intent(inout) :: error
+    character(len=*), intent(in) :: output
+    type(state_t), intent(in) :: state
+    error%message = error%message//'; the frames before are in '//output//'.part'
+    if (state%schedule%checkpoints > 0) then
+      error%message = error%message//', the last good checkpoint, '//checkpoint_path(output)//', is of step '// &
+                      to_text(state%schedule%checkpoint_step)
+    else
+      error%message = error%message//'; no checkpoint was due before'
+    end if
+  end subroutine tell_what_is_left
 
   !> A new output file, or the one that the checkpoint's run left.
   subroutine open_writer(sim, scene, effective_text, contents, options, writer, error)
@@ -236,6 +244,7 @@ contains
     if (due%row) then
       row = take_row(sim)
       call enter(ledger, row)
+      call watch_row(ledger%watch, row, threshold_of(sim%model))
       call write_history(writer, row, error)
     end if
     if (.not. due%frame) return
@@ -252,6 +261,13 @@ contains
     end if
     call frame_taken(sim)
   end subroutine observe
+
+  !> Contact threshold [m]; 0: there is no contact.
+  pure real(wp) function threshold_of(model)
+    type(model_t), intent(in) :: model
+    threshold_of = 0.0_wp
+    if (allocated(model%contact)) threshold_of = model%contact%threshold
+  end function threshold_of
 
   !> Were the nodes of a net from a file renumbered for the kernel? Whatever is written
   !> carries the numbers of the file.
@@ -302,12 +318,14 @@ contains
                  - row%winch_work - row%projection_work - row%external_work
   end function own_energy
 
-  !> The file first, so that it is never behind the checkpoint.
+  !> A sound state only; the file first, so that it is never behind the checkpoint.
   subroutine take_checkpoint(sim, writer, output, effective_text, contents, error)
     type(simulation_t), intent(inout) :: sim
     type(run_writer_t), intent(inout) :: writer
     character(len=*), intent(in) :: output, effective_text, contents
     type(error_t), allocatable, intent(inout) :: error
+    call guard(sim, error)
+    if (allocated(error)) return
     call flush_run(writer, error)
     sim%state%schedule%checkpoints = sim%state%schedule%checkpoints + 1
     sim%state%schedule%checkpoint_step = sim%state%step

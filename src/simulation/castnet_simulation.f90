@@ -3,29 +3,24 @@
 module castnet_simulation
   use castnet_kinds, only: wp, i8
   use castnet_capture_measures, only: measure_capture
-  use castnet_compliant_contact, only: is_compliant, spring_energy
   use castnet_deployment, only: begin_deployment, observe_deployment, deployment_of
-  use castnet_diagnostics, only: record_history, impulse_percentiles, check_finite, net_kinetic_energy, &
-                                 target_kinetic_energy, elastic_energy
-  use castnet_error, only: error_t, fail, exit_numerical
+  use castnet_diagnostics, only: record_history, impulse_percentiles
+  use castnet_error, only: error_t
   use castnet_model, only: model_t
   use castnet_model_builder, only: file_net_t
+  use castnet_monitors, only: check_state, mechanical_energy
   use castnet_record, only: deployment_t, history_row_t, summary_t, thresholds_t, verdict_captured
   use castnet_scene, only: scene_t
   use castnet_setup, only: step_report_t, set_up
   use castnet_state, only: state_t, tally_t
   use castnet_stepper, only: work_t, advance, meet, settle
-  use castnet_text, only: to_text
   use, intrinsic :: ieee_arithmetic, only: ieee_value, ieee_quiet_nan
   implicit none
   private
-  public :: simulation_t, due_t, start, run_to_next, is_finished, take_measures, take_row, frame_taken, summarise
+  public :: simulation_t, due_t, start, run_to_next, is_finished, take_measures, take_row, frame_taken, summarise, guard
 
   !> Steps between two looks at the state's health.
   integer, parameter :: guard_interval = 64
-  !> Energy above this multiple of all that was put in is an explosion. A sound run never
-  !> gains more than rounding; an unstable one passes any factor within a few dozen steps.
-  real(wp), parameter :: explosion = 1.2_wp
 
   type :: simulation_t
     type(model_t) :: model
@@ -221,45 +216,11 @@ contains
     summary%force_evaluations = sim%state%force_evaluations
   end function summarise
 
-  !> Is every number finite, and the energy one that the run can have?
+  !> The monitors that stop a run.
   subroutine guard(sim, error)
     type(simulation_t), intent(in) :: sim
     type(error_t), allocatable, intent(inout) :: error
-    real(wp) :: energy, given
-    real(wp), allocatable :: speed(:)
-    integer :: node, shown
-
-    call check_finite(sim%model, sim%state, error)
-    if (allocated(error) .or. .not. allocated(sim%model%net)) return
-    energy = mechanical_energy(sim%model, sim%state)
-    associate (ledger => sim%state%ledger)
-      given = sim%energy_start + max(0.0_wp, ledger%winch_work) + max(0.0_wp, ledger%projection_work) &
-              + max(0.0_wp, ledger%external_work)
-    end associate
-    if (energy <= explosion*given + tiny(1.0_wp)) return
-    associate (v => sim%state%node_velocity, n => sim%model%net%n_node)
-      speed = v(:n, 1)**2 + v(:n, 2)**2 + v(:n, 3)**2
-      node = maxloc(speed, dim=1)
-      shown = node
-      if (allocated(sim%model%net%original_node)) shown = sim%model%net%original_node(node)
-      !$omp critical (castnet_text)
-      call fail(error, exit_numerical, 'step '//to_text(sim%state%step)//', t = '//to_text(sim%state%time)// &
-                ' s: the energy has grown to '//to_text(energy)//' J where at most '//to_text(given)// &
-                ' J were put in; the fastest node is '//to_text(shown - 1)//' (counted from 0) at '// &
-                to_text(sqrt(speed(node)))//' m/s; try a smaller time/step than '//to_text(sim%model%step)//' s')
-      !$omp end critical (castnet_text)
-    end associate
+    call check_state(sim%model, sim%state, sim%energy_start, error)
   end subroutine guard
-
-  !> Kinetic and elastic energy of net and target [J].
-  real(wp) function mechanical_energy(model, state) result(energy)
-    type(model_t), intent(in) :: model
-    type(state_t), intent(in) :: state
-    energy = 0.0_wp
-    if (allocated(model%net)) energy = energy + net_kinetic_energy(model%net, state%node_velocity) &
-                                       + elastic_energy(model%net, state%node_position)
-    if (allocated(model%target)) energy = energy + target_kinetic_energy(model%target, state%target)
-    if (is_compliant(model)) energy = energy + spring_energy(model, state%node_position, state%target)
-  end function mechanical_energy
 
 end module castnet_simulation

@@ -473,6 +473,37 @@ def check_crash(folder: Path) -> None:
           (limited.returncode, limited.stderr))
 
 
+# ---- monitors -----------------------------------------------------------------------------------
+
+
+def check_monitors(folder: Path) -> None:
+    """A run that goes wrong stops with what is needed to go on; one that is doubtful says so."""
+    output = folder / "monitor.h5"
+    good = run(CUBESAT, output)
+    check("monitors: a sound run warns of nothing", good.returncode == 0 and "warning" not in good.stderr, good.stderr)
+    output.unlink()
+    unstable = (CUBESAT[0], ["time/step=3e-4", "time/allow_unstable=.true.", "output/checkpoint_interval=0.001"])
+    done = run(unstable, output, "--quiet")
+    words = done.stderr
+    check("monitors: an explosion is exit code 3 with node, cable, advice and what is left", done.returncode == 3
+          and all(w in words for w in ("fastest node", "at the cable of nodes", "smaller time/step", "monitor.h5.part",
+                                       "last good checkpoint, " + str(beside(output, ".checkpoint")))), (done.returncode, words))
+    check("monitors: the energy's rise was warned of", "warning: energy: it rose by" in words, words)
+    with h5py.File(beside(output, ".part")) as file:
+        check("monitors: every frame that was kept is sound, and the file says that the run failed",
+              np.isfinite(file["node_position"][()]).all() and file["meta/status"].asstr()[()] == "failed")
+    again = restart(unstable, output, "--quiet")
+    check("monitors: the checkpoint is sound: going on from it ends at the same step", again.returncode == 3
+          and again.stderr.split("step ")[-1] == words.split("step ")[-1], (again.stderr, words))
+    none = (CUBESAT[0], [*unstable[1][:2], "output/checkpoint_interval=0"])
+    done = run(none, folder / "none.h5", "--quiet")
+    check("monitors: without a checkpoint it says so", done.returncode == 3 and "no checkpoint was due" in done.stderr, done.stderr)
+    soft = (CUBESAT[0], ["contact/law='penalty'", "contact/stiffness=0.01"])
+    done = run(soft, folder / "soft.h5", "--quiet")
+    check("monitors: a net that sinks into the target is warned of", done.returncode == 0
+          and "contact thresholds behind" in done.stderr and short(done), (done.returncode, done.stderr))
+
+
 # ---- locks and files -----------------------------------------------------------------------
 
 
@@ -547,6 +578,14 @@ def check_files(folder: Path) -> None:
     beside(folder / "link.h5", ".tmp").symlink_to(victim)
     run(scene, folder / "link.h5", "--force")
     check("files: a link laid in the way is replaced, not followed", victim.read_text() == "precious")
+    for words, code, name in ((["schema"], 4, "results that cannot be written are exit code 4"),
+                              (command(scene, folder / "mute.h5")[1:], 4, "also those of a run, whose file is there")):
+        done = subprocess.run([CASTNET, *words], stdout=open("/dev/full", "w"), stderr=subprocess.PIPE, text=True, check=False)
+        check(f"files: {name}", done.returncode == code and "standard output" in done.stderr, (done.returncode, done.stderr))
+    check("files: which is complete", (folder / "mute.h5").exists())
+    done = subprocess.run(command(scene, folder / "deaf.h5"), stdout=subprocess.PIPE, stderr=open("/dev/full", "w"), check=False)
+    check("files: a log that cannot be written does not end a run", done.returncode == 0 and (folder / "deaf.h5").exists(),
+          done.returncode)
     strange = folder / "a b; touch oops $(touch oops) 'ü'.h5"
     done = run(scene, strange)
     check("files: no shell sees a file's name", done.returncode == 0 and strange.exists() and not (folder / "oops").exists()
@@ -598,7 +637,7 @@ def check_disks() -> None:
 
 def main() -> int:
     with tempfile.TemporaryDirectory(prefix="castnet_faults_") as name:
-        for number, part in enumerate((check_files, check_contents, check_locks, check_crash, check_signals, check_restarts,
+        for number, part in enumerate((check_files, check_contents, check_locks, check_monitors, check_crash, check_signals, check_restarts,
                                        check_damaged_checkpoints, check_kills)):
             folder = Path(name) / str(number)
             folder.mkdir()
