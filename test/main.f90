@@ -1,5 +1,6 @@
 !> Every unit and verification test. One line per suite; `fpm @check -- contact` filters.
 program main
+  use test_adaptive, only: run_test_adaptive
   use test_cable_contact, only: run_test_cable_contact
   use test_capture_measures, only: run_test_capture_measures
   use test_checkpoint, only: run_test_checkpoint
@@ -44,6 +45,7 @@ program main
   use verify_snap, only: run_verify_snap
   use verify_torque_free, only: run_verify_torque_free
   implicit none
+  call run_test_adaptive()
   call run_test_cable_contact()
   call run_test_capture_measures()
   call run_test_checkpoint()

@@ -52,6 +52,7 @@ contains
         state%velocity_ahead(i, k) = i*k/13.0_wp
       end do
     end do
+    state%substep = 0.0123_wp
     state%node_position(1, 1) = -0.0_wp
     state%node_position(2, 1) = tiny(1.0_wp)*epsilon(1.0_wp)   ! subnormal
     allocate (state%target)
@@ -127,8 +128,8 @@ contains
     call expect_equal(contents, 'net/file: 3', 'the contents of its files')
     call expect_equal(path_kind(output()//'.tmp'), path_nothing, 'OUTPUT.tmp afterwards')
     call expect(back%step == state%step .and. back%force_evaluations == state%force_evaluations, 'counters')
-    call expect(same_bits([back%time, back%first_contact, back%skip_contact_until], &
-                          [state%time, state%first_contact, state%skip_contact_until]), 'times')
+    call expect(same_bits([back%time, back%first_contact, back%skip_contact_until, back%substep], &
+                          [state%time, state%first_contact, state%skip_contact_until, state%substep]), 'times')
     call expect(same_bits([back%node_position], [state%node_position]), 'positions')
     call expect(all(shape(back%node_position) == [8, 3]), 'shape')
     call expect(same_bits([back%node_velocity], [state%node_velocity]), 'velocities')
@@ -150,7 +151,7 @@ contains
     call expect(state_hash(back) == state_hash(state), 'the hash of the whole state')
     ! A new component of state_t changes this number: add it to exchange_state of
     ! castnet_checkpoint and to fill above, then correct the number here.
-    call expect_equal(storage_size(state)/8, 648, 'bytes of state_t (see the comment in the test)')
+    call expect_equal(storage_size(state)/8, 656, 'bytes of state_t (see the comment in the test)')
     state%tally%contact_iterations = 29
     call expect(state_hash(back) /= state_hash(state), 'another state, another hash')
     call clean()

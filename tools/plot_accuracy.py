@@ -21,7 +21,7 @@ NAMES = {
     "momentum_given": "momentum given to the target", "first_contact": "first contact", "coverage": "coverage",
     "largest_hole": "largest hole", "escape": "escape", "cqi": "CQI",
 }
-MARKERS = {"rk4": ("o", "#1f5a92"), "midpoint": ("s", "#c0561c")}
+MARKERS = {"rk4": ("o", "#1f5a92"), "midpoint": ("s", "#c0561c"), "adaptive": ("^", "#2d7d46")}
 
 
 def main():

@@ -201,6 +201,7 @@ contains
     call exchange(archive, 'node_position', state%node_position)
     call exchange(archive, 'node_velocity', state%node_velocity)
     call exchange(archive, 'velocity_ahead', state%velocity_ahead)
+    call exchange(archive, 'substep', state%substep)
     there = allocated(state%target)
     call exchange_presence(archive, 'target', there)
     if (there) then

@@ -18,7 +18,7 @@ module castnet_scene_schema
   character(len=*), parameter :: pending_laws = ''
   character(len=*), parameter :: pending_detect = ''
   character(len=*), parameter :: pending_shapes = ''
-  character(len=*), parameter :: pending_methods = 'adaptive'
+  character(len=*), parameter :: pending_methods = ''
   logical, parameter :: pending_friction = .false.
   logical, parameter :: pending_closing = .false.
   logical, parameter :: pending_orbit = .false.
@@ -211,8 +211,8 @@ contains
       call t%real_key('end_time', g%end_time, 's', 'simulated time', low=1.0e-9_wp, high=1.0e9_wp, need='always')
       call t%real_key('step', g%step, 's', 'time step; 0 = chosen from the net''s stability limit', low=0.0_wp, high=1.0e6_wp)
       call t%word_key('method', g%method, 'rk4 midpoint adaptive', 'time integration', pending=pending_methods)
-      call t%real_key('tolerance', g%tolerance, '-', 'relative error per step of ''adaptive''', &
-                      low=1.0e-14_wp, high=1.0_wp, use='method = ''adaptive''')
+      call t%real_key('tolerance', g%tolerance, '-', 'error of a position per part of a step of ''adaptive'', over the mean '// &
+                      'cable length', low=1.0e-14_wp, high=1.0_wp, use='method = ''adaptive''')
       call t%logical_key('allow_unstable', g%allow_unstable, 'a step above the stability limit: warn instead of refuse')
     end associate
   end subroutine time_keys

@@ -92,6 +92,7 @@ module castnet_state
     real(wp), allocatable :: node_position(:, :)     !! (n_pad,3) inertial [m]
     real(wp), allocatable :: node_velocity(:, :)     !! (n_pad,3) [m/s]
     real(wp), allocatable :: velocity_ahead(:, :)    !! (n_pad,3) extrapolated to the next midpoint, method 'midpoint' only [m/s]
+    real(wp) :: substep = 0.0_wp              !! the part of a step that would be tried next, 'adaptive' only; 0: none yet [s]
     type(body_state_t), allocatable :: target
     type(closing_state_t), allocatable :: closing
     type(deployment_state_t), allocatable :: deployment !! with a mouth whose flat area is known

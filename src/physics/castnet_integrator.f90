@@ -5,7 +5,7 @@
 !> through `gather_extra_force` (compliant contact); impulses come after the step.
 module castnet_integrator
   use castnet_kinds, only: wp
-  use castnet_model, only: model_t
+  use castnet_model, only: model_t, method_adaptive
   use castnet_state, only: state_t, body_state_t
   use castnet_body_dynamics, only: body_rate_t, body_rate, body_advance, body_rk4, body_alone, body_kick, &
                                    orbital_acceleration
@@ -34,6 +34,8 @@ module castnet_integrator
     type(cable_work_t) :: cables
     real(wp), allocatable :: xa(:, :), va(:, :), xb(:, :), vb(:, :) !! (n_pad,3) stage states
     real(wp), allocatable :: sum_x(:, :), sum_v(:, :)               !! (n_pad,3) weighted slopes of rk4
+    real(wp), allocatable :: start_x(:, :), start_v(:, :)           !! (n_pad,3) where a step began, 'adaptive' only
+    type(body_state_t) :: body_stage               !! the target at the last stage of rk4
     real(wp) :: body_force(3) = 0.0_wp             !! on the target besides external_force, inertial [N]
     real(wp) :: body_torque(3) = 0.0_wp            !! on the target besides external_torque, body axes [N m]
     logical :: midpoint_ready = .false.            !! xa holds the next midpoint
@@ -69,9 +71,11 @@ contains
     if (allocated(model%closing)) allocate (work%cables%thread_impulse(n, 3), source=0.0_wp)
     allocate (work%xa(n, 3), work%va(n, 3), work%xb(n, 3), work%vb(n, 3), source=0.0_wp)
     allocate (work%sum_x(n, 3), work%sum_v(n, 3), source=0.0_wp)
+    if (model%method == method_adaptive) allocate (work%start_x(n, 3), work%start_v(n, 3), source=0.0_wp)
   end subroutine new_flow_work
 
-  !> Classical Runge-Kutta of order 4 for net and target together.
+  !> Classical Runge-Kutta of order 4 for net and target together. The velocities at the last
+  !> stage stay in work%va and work%body_stage: castnet_adaptive finds the step's error in them.
   subroutine rk4_step(model, state, work, h)
     type(model_t), intent(in) :: model
     type(state_t), intent(inout) :: state
@@ -116,6 +120,7 @@ contains
         state%node_position, state%node_velocity, work%xa, work%va, work%sum_x, work%sum_v, power(:, 3))
 
     if (moves) body = body_advance(state%target, k(3), h)
+    if (moves) work%body_stage = body
     if (allocated(work%cables%extra)) call gather_extra_force(model, n, work%xa, work%va, &
         body, state%closing, work%cables%extra, work%body_force, work%body_torque, h/6.0_wp, work%cables%thread_impulse, &
         state%ledger)

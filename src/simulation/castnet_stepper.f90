@@ -2,12 +2,13 @@
 !> apply their impulses, run the closing thread.
 module castnet_stepper
   use castnet_kinds, only: wp, i8
+  use castnet_adaptive, only: adaptive_step
   use castnet_closing_thread, only: update_closing
   use castnet_error, only: error_t
   use castnet_contact_event, only: contact_work_t, new_contact_work, handle_contacts
   use castnet_external_work, only: has_net_field, has_external_potential, external_potential
   use castnet_integrator, only: flow_work_t, new_flow_work, rk4_step, midpoint_step, midpoint_positions, midpoint_disturbed
-  use castnet_model, only: model_t, method_midpoint
+  use castnet_model, only: model_t, method_midpoint, method_adaptive
   use castnet_state, only: state_t
   implicit none
   private
@@ -62,11 +63,15 @@ contains
     if (work%timings%wanted) call system_clock(began)
     potential = 0.0_wp
     if (work%has_potential) potential = external_potential(model, state)
-    if (model%method == method_midpoint) then
+    select case (model%method)
+    case (method_midpoint)
       call midpoint_step(model, state, work%flow, model%step)
-    else
+    case (method_adaptive)
+      call adaptive_step(model, state, work%flow, model%step, error)
+      if (allocated(error)) return
+    case default
       call rk4_step(model, state, work%flow, model%step)
-    end if
+    end select
     if (work%has_potential) then
       if (work%has_field) call settle(model, state, work)
       state%ledger%external_work = state%ledger%external_work + (potential - external_potential(model, state))

@@ -22,11 +22,12 @@ module castnet_accuracy
   use castnet_text, only: to_text
   implicit none
   private
-  public :: accuracy_t, setting_t, measure_accuracy, observable_name, observable_unit, n_observable
+  public :: accuracy_t, setting_t, setting_words, is_below, measure_accuracy, observable_name, observable_unit, n_observable
 
   integer, parameter :: n_look = 200       !! equal times at which runs are compared; every step divides them
   integer, parameter :: members = 12       !! a mean's error is then 0.4 of the spread
   integer, parameter :: n_halving(2) = [5, 4]       !! steps of rk4 and midpoint: 0.7 of the limit, halved
+  real(wp), parameter :: tolerances(3) = [1.0e-4_wp, 1.0e-6_wp, 1.0e-8_wp] !! of adaptive, at 0.7 of the limit
   integer, parameter :: reference_halvings = 6
   real(wp), parameter :: nudge = 1.0e-6_wp          !! of every node in the ensembles, unless the scene perturbs [m]
   real(wp), parameter :: tiny_nudge = 1.0e-12_wp    !! whose growth gives the horizon [m]
@@ -57,6 +58,7 @@ module castnet_accuracy
   type :: setting_t
     character(len=8) :: method = ''
     real(wp) :: step = 0.0_wp, of_limit = 0.0_wp        !! [s], [-]
+    real(wp) :: tolerance = 0.0_wp                      !! of 'adaptive', else 0
     real(wp) :: seconds = 0.0_wp                        !! of one run, the fastest member [s]
     integer(i8) :: evaluations = 0                      !! of forces, in one run
     real(wp) :: error(n_observable, n_look) = 0.0_wp    !! of the mean
@@ -105,13 +107,17 @@ contains
     do k = 1, n_look
       result%time(k) = scene%time%end_time*k/n_look
     end do
-    allocate (result%settings(sum(n_halving)))
+    allocate (result%settings(sum(n_halving) + size(tolerances)))
     s = 0
     do m = 1, 2
       do k = 1, n_halving(m)
         s = s + 1
         result%settings(s) = new_setting(scene, method_name(m), limit(m), k - 1)
       end do
+    end do
+    do k = 1, size(tolerances)
+      result%settings(s + k) = new_setting(scene, 'adaptive', limit(1), 0)
+      result%settings(s + k)%tolerance = tolerances(k)
     end do
     result%reference = new_setting(scene, method_name(1), limit(1), reference_halvings)
 
@@ -123,8 +129,7 @@ contains
     call take_floor(reference, result)
     do s = 1, size(result%settings)
       call fly_members(scene, file_net, result%settings(s), n_thread, flights)
-      call log_progress(log, 0.5_wp + 0.5_wp*s/size(result%settings), trim(result%settings(s)%method)//' at '// &
-                        to_text(result%settings(s)%step)//' s')
+      call log_progress(log, 0.5_wp + 0.5_wp*s/size(result%settings), setting_words(result%settings(s)))
       call compare(flights, reference, result, result%settings(s))
     end do
     call end_progress(log)
@@ -137,6 +142,14 @@ contains
       result%cheapest = s
     end do
   end subroutine measure_accuracy
+
+  !> A setting in words: 'rk4 at 1e-3 s'.
+  function setting_words(setting) result(words)
+    type(setting_t), intent(in) :: setting
+    character(len=:), allocatable :: words
+    words = trim(setting%method)//' at '//to_text(setting%step)//' s'
+    if (setting%tolerance > 0.0_wp) words = words//' and a tolerance of '//to_text(setting%tolerance)
+  end function setting_words
 
   pure function method_name(m) result(name)
     integer, intent(in) :: m
@@ -187,7 +200,7 @@ contains
     allocate (flights(members))
     !$omp parallel do default(shared) private(m) schedule(dynamic, 1) num_threads(n_thread)
     do m = 1, members
-      call fly(scene, file_net, setting%method, setting%step, m - 1, nudge, .false., n_thread == 1, flights(m))
+      call fly(scene, file_net, setting, m - 1, nudge, .false., n_thread == 1, flights(m))
     end do
     !$omp end parallel do
     setting%seconds = minval(flights%seconds)
@@ -199,11 +212,11 @@ contains
 
   !> One run. Member 0 is the scene as it stands, but for a perturbation by `distance`
   !> where `kept` asks for the nodes.
-  subroutine fly(scene, file_net, method, step, member, distance, keep_nodes, alone, flight)
+  subroutine fly(scene, file_net, setting, member, distance, keep_nodes, alone, flight)
     type(scene_t), intent(in) :: scene
     type(file_net_t), allocatable, intent(in) :: file_net
-    character(len=*), intent(in) :: method
-    real(wp), intent(in) :: step, distance
+    type(setting_t), intent(in) :: setting
+    real(wp), intent(in) :: distance
     integer, intent(in) :: member
     logical, intent(in) :: keep_nodes, alone
     type(flight_t), intent(inout) :: flight
@@ -215,8 +228,9 @@ contains
     integer :: look
 
     changed = scene
-    changed%time%method = method
-    changed%time%step = step
+    changed%time%method = setting%method
+    changed%time%step = setting%step
+    if (setting%tolerance > 0.0_wp) changed%time%tolerance = setting%tolerance
     changed%time%allow_unstable = .true.
     changed%output%frame_interval = scene%time%end_time/n_look
     changed%output%history_interval = scene%time%end_time
@@ -301,8 +315,8 @@ contains
     integer :: k
     bare = scene
     if (allocated(bare%perturb)) deallocate (bare%perturb)
-    call fly(bare, file_net, result%reference%method, result%reference%step, 0, 0.0_wp, .true., .true., a)
-    call fly(bare, file_net, result%reference%method, result%reference%step, 1, tiny_nudge, .true., .true., b)
+    call fly(bare, file_net, result%reference, 0, 0.0_wp, .true., .true., a)
+    call fly(bare, file_net, result%reference, 1, tiny_nudge, .true., .true., b)
     if (allocated(a%error) .or. allocated(b%error)) return
     do k = 1, n_look
       result%growth(k) = sqrt(maxval(sum((a%node(:, :, k) - b%node(:, :, k))**2, dim=2)))
@@ -367,7 +381,6 @@ contains
     type(setting_t), intent(inout) :: setting
     real(wp), allocatable :: mean(:, :), wanted(:, :)
     real(wp) :: last(n_track + 1:n_observable), wanted_last(n_track + 1:n_observable)
-    real(wp) :: known
     integer :: o, first, end_
     setting%error = ieee_value(1.0_wp, ieee_quiet_nan)
     setting%single = setting%error
@@ -385,12 +398,21 @@ contains
         setting%error(o, :) = abs(last(o) - wanted_last(o))
         setting%single(o, :) = abs(flights(1)%last(o) - reference(1)%last(o))
       end if
-      known = result%floor(o, n_look)
-      if (observable_name(o) == 'first_contact') known = max(known, setting%step)
-      ! A NaN is above any floor.
-      setting%below_floor = setting%below_floor .and. setting%error(o, n_look) <= known
+      setting%below_floor = setting%below_floor .and. is_below(result, setting, o)
     end do
   end subroutine compare
+
+  !> Is the error at the end below the floor? First contact is known to a step of the setting
+  !> besides. A NaN is above any floor.
+  pure logical function is_below(result, setting, observable)
+    type(accuracy_t), intent(in) :: result
+    type(setting_t), intent(in) :: setting
+    integer, intent(in) :: observable
+    real(wp) :: known
+    known = result%floor(observable, n_look)
+    if (observable_name(observable) == 'first_contact') known = max(known, setting%step)
+    is_below = setting%error(observable, n_look) <= known
+  end function is_below
 
   !> log(e1/e2)/log(h1/h2) of the unperturbed runs at the horizon.
   subroutine take_orders(result)
@@ -401,7 +423,7 @@ contains
     do s = 1, size(result%settings)
       result%settings(s)%order = ieee_value(1.0_wp, ieee_quiet_nan)
       if (s == 1 .or. k == 0) cycle
-      if (result%settings(s)%method /= result%settings(s - 1)%method) cycle
+      if (result%settings(s)%method /= result%settings(s - 1)%method .or. result%settings(s)%tolerance > 0.0_wp) cycle
       do o = 1, n_track
         if (.not. result%used(o)) cycle
         e = [result%settings(s - 1)%single(o, k), result%settings(s)%single(o, k)]

@@ -1,7 +1,7 @@
 !> What `castnet accuracy` found, as HDF5 for xarray and CSV for everyone.
 module castnet_accuracy_table
   use castnet_kinds, only: wp
-  use castnet_accuracy, only: accuracy_t, observable_name, observable_unit, n_observable
+  use castnet_accuracy, only: accuracy_t, setting_words, is_below, observable_name, observable_unit, n_observable
   use castnet_error, only: error_t
   use castnet_hdf5_file, only: hdf5_file_t, create_hdf5, close_file, write_array, write_value, write_text, set_attribute, &
                                make_scale, attach_scales
@@ -35,6 +35,7 @@ contains
       call write_array(file, file%root, 'method', words(:n), error)
       call column('step', settings%step, 's')
       call column('step_of_limit', settings%of_limit, '1')
+      call column('tolerance', settings%tolerance, '1')
       call column('seconds', settings%seconds, 's')
       call column('force_evaluations', real(settings%evaluations, wp), '1')
       call column('below_floor', merge(1.0_wp, 0.0_wp, settings%below_floor), '1')
@@ -95,15 +96,18 @@ contains
     character(len=*), parameter :: newline = new_line('a')
     integer :: s, o, n
     n = size(result%time)
-    text = 'method,step,step_of_limit,seconds,force_evaluations,observable,unit,error,floor,order_at_horizon,below_floor'//newline
+    text = 'method,step,step_of_limit,tolerance,seconds,force_evaluations,observable,unit,error,floor,'// &
+           'order_at_horizon,below_floor'//newline
     do s = 1, size(result%settings)
       associate (setting => result%settings(s))
         do o = 1, n_observable
           if (.not. result%used(o)) cycle
           text = text//trim(setting%method)//','//to_text(setting%step)//','//to_text(setting%of_limit)//','// &
-                 to_text(setting%seconds)//','//to_text(setting%evaluations)//','//trim(observable_name(o))//','// &
+                 to_text(setting%tolerance)//','//to_text(setting%seconds)//','//to_text(setting%evaluations)//','// &
+                 trim(observable_name(o))//','// &
                  trim(observable_unit(o))//','//to_text(setting%error(o, n))//','//to_text(result%floor(o, n))//','// &
-                 to_text(setting%order(o))//','//trim(merge('1', '0', setting%error(o, n) <= result%floor(o, n)))//newline
+                 to_text(setting%order(o))//','// &
+                 trim(merge('1', '0', is_below(result, setting, o)))//newline
         end do
       end associate
     end do
@@ -119,8 +123,8 @@ contains
       return
     end if
     associate (best => result%settings(result%cheapest))
-      sentence = 'The cheapest setting whose error is below the noise floor is '//trim(best%method)//' at '// &
-                 to_text(best%step)//' s: '//to_text(best%seconds)//' s of processor time a run, '// &
+      sentence = 'The cheapest setting whose error is below the noise floor is '//setting_words(best)//': '// &
+                 to_text(best%seconds)//' s of processor time a run, '// &
                  to_text(best%evaluations)//' force evaluations, against '//to_text(result%reference%seconds)// &
                  ' s of the reference, rk4 at '//to_text(result%reference%step)//' s; single runs converge up to '// &
                  to_text(result%horizon)//' s, after that only ensembles do.'

@@ -40,12 +40,16 @@ def main():
             methods = [word.decode() for word in data["method"][:]]
             step, error = data["step"][:], data["error_bullets"][:]
             check("steps divide the looks", np.allclose((data["time"][0] / step) % 1.0 % 0.999999, 0.0, atol=1e-5))
-            check("five steps of rk4, four of midpoint", methods == ["rk4"] * 5 + ["midpoint"] * 4)
-            check("an error for every setting and time", error.shape == (9, 200) and np.isfinite(error).all())
+            check("five steps of rk4, four of midpoint, three tolerances of adaptive",
+                  methods == ["rk4"] * 5 + ["midpoint"] * 4 + ["adaptive"] * 3)
+            fixed, tolerance = np.array(methods) != "adaptive", data["tolerance"][:]
+            check("tolerances fall", not tolerance[fixed].any() and (np.diff(tolerance[~fixed]) < 0).all())
+            check("an error for every setting and time", error.shape == (12, 200) and np.isfinite(error).all())
             check("momentum is kept, so the centre of mass has no error", data["error_centre_of_mass"][:].max() < 1e-9)
             evaluations = data["force_evaluations"][:]
             check("four evaluations a step of rk4, one of midpoint",
-                  np.allclose(evaluations * step / np.where(np.array(methods) == "rk4", 4, 1), 0.2))
+                  np.allclose((evaluations * step / np.where(np.array(methods) == "rk4", 4, 1))[fixed], 0.2))
+            check("a smaller tolerance costs more", (np.diff(evaluations[~fixed]) > 0).all() and evaluations[~fixed][0] >= evaluations[0])
             mark = int(data["cheapest"][()])
             below = data["below_floor"][:] > 0
             check("the mark is the fastest below the floor", mark == 0 and not below.any() or mark > 0 and below[mark - 1] and
