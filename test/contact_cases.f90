@@ -11,7 +11,7 @@ module contact_cases
   implicit none
   private
   public :: new_case, add_cables, set_body, momentum, angular_momentum, kinetic_energy, elastic_energy, centre_of_mass
-  public :: random_t, uniform, normal_draw, random_direction, random_contacts
+  public :: random_t, uniform, uniform_point, normal_draw, random_quaternion, random_direction, random_contacts
 
   !> A small generator of the tests' own: xorshift, the same everywhere.
   type :: random_t
@@ -28,6 +28,18 @@ contains
     uniform = real(ishft(random%s, -11), wp)*2.0_wp**(-53)
   end function uniform
 
+  !> Three draws, one after the other. In which order a compiler evaluates the parts of an
+  !> expression, or an argument of `merge` that is not taken, is its own choice; so that the
+  !> samples are the same everywhere, the tests draw once a statement.
+  function uniform_point(random) result(p)
+    type(random_t), intent(inout) :: random
+    real(wp) :: p(3)
+    integer :: i
+    do i = 1, 3
+      p(i) = uniform(random)
+    end do
+  end function uniform_point
+
   !> Roughly normal: the sum of twelve.
   real(wp) function normal_draw(random)
     type(random_t), intent(inout) :: random
@@ -41,9 +53,20 @@ contains
   function random_direction(random) result(n)
     type(random_t), intent(inout) :: random
     real(wp) :: n(3)
-    n = [normal_draw(random), normal_draw(random), normal_draw(random)]
+    integer :: i
+    do i = 1, 3
+      n(i) = normal_draw(random)
+    end do
     n = n/sqrt(n(1)**2 + n(2)**2 + n(3)**2)
   end function random_direction
+
+  function random_quaternion(random) result(q)
+    type(random_t), intent(inout) :: random
+    real(wp) :: q(4)
+    q(1) = normal_draw(random)
+    q(2:4) = random_direction(random)
+    q = q/sqrt(q(1)**2 + q(2)**2 + q(3)**2 + q(4)**2)
+  end function random_quaternion
 
   !> A net of n loose nodes at rest at the origin, a body of the given shape, contact.
   subroutine new_case(model, state, n, mass, shape, dimensions, target_mass, threshold)
@@ -185,8 +208,7 @@ contains
     integer :: i
     call reserve_contacts(list, n)
     list%n = n
-    q = [normal_draw(random), random_direction(random)]
-    q = q/sqrt(sum(q**2))
+    q = random_quaternion(random)
     a = 0.0_wp
     do i = 1, 3
       a(i, i) = 0.1_wp + 0.2_wp*uniform(random)
@@ -208,7 +230,8 @@ contains
       list%inverse_mass_b(i) = 0.0_wp
       list%normal(i, :) = random_direction(random)
       list%arm(i, :) = 0.5_wp*list%normal(i, :) + 0.5_wp*random_direction(random)
-      list%velocity(i, :) = random_direction(random)*uniform(random)
+      list%velocity(i, :) = random_direction(random)
+      list%velocity(i, :) = list%velocity(i, :)*uniform(random)
       list%normal_velocity(i) = sum(list%velocity(i, :)*list%normal(i, :))
       list%gap(i) = 0.0_wp
       list%impulse(i) = 0.0_wp

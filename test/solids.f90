@@ -102,7 +102,7 @@ contains
     p = 0.0_wp
     select case (solid%word(part))
     case ('box')
-      p = [h(1)*(2.0_wp*uniform(seed) - 1.0_wp), h(2)*(2.0_wp*uniform(seed) - 1.0_wp), h(3)*(2.0_wp*uniform(seed) - 1.0_wp)]
+      p = h*uniform_vector(seed, 1.0_wp)
       axis = 1 + int(2.999_wp*choice)
       p(axis) = sign(h(axis), uniform(seed) - 0.5_wp)
       if (uniform(seed) < 0.1_wp) p(modulo(axis, 3) + 1) = sign(h(modulo(axis, 3) + 1), uniform(seed) - 0.5_wp)

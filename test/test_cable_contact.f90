@@ -10,7 +10,8 @@ module test_cable_contact
   use castnet_contact_event, only: contact_work_t, new_contact_work, handle_contacts
   use castnet_stepper, only: work_t
   use contact_cases, only: new_case, add_cables, set_body, momentum, angular_momentum, kinetic_energy, elastic_energy, &
-                           centre_of_mass, random_t, uniform, normal_draw, random_direction, random_contacts
+                           centre_of_mass, random_t, uniform, normal_draw, random_direction, random_quaternion, &
+                           random_contacts
   use scenes, only: net_of, ready, fly
   use testing, only: test_case, expect, expect_close, expect_equal, note
   implicit none
@@ -186,11 +187,14 @@ contains
       c = c + 1
       list%node_a(c) = a
       list%node_b(c) = b
-      list%share(c) = merge(0.0_wp, uniform(random), a == b)
+      list%share(c) = uniform(random)
+      if (a == b) list%share(c) = 0.0_wp
       list%weight_a(c) = 1.0_wp - list%share(c)
       list%inverse_mass_a(c) = w(a)
       list%inverse_mass_b(c) = merge(0.0_wp, w(b), a == b)
-      list%normal(c, :) = [0.1_wp*normal_draw(random), 0.1_wp*normal_draw(random), 1.0_wp]
+      list%normal(c, 1) = 0.1_wp*normal_draw(random)
+      list%normal(c, 2) = 0.1_wp*normal_draw(random)
+      list%normal(c, 3) = 1.0_wp
       list%normal(c, :) = list%normal(c, :)/sqrt(sum(list%normal(c, :)**2))
       list%normal_velocity(c) = sum(list%velocity(c, :)*list%normal(c, :))
     end subroutine add
@@ -253,8 +257,7 @@ contains
       model%contact%restitution = 0.2_wp*mod(trial, 6)
       if (trial > 10) model%contact%friction = 0.3_wp
       state%target%angular_velocity = random_direction(random)
-      state%target%attitude = [normal_draw(random), random_direction(random)]
-      state%target%attitude = state%target%attitude/sqrt(sum(state%target%attitude**2))
+      state%target%attitude = random_quaternion(random)
       do i = 1, 7
         do k = 1, 7
           state%node_position(7*(i - 1) + k, :) = [0.16_wp*(i - 4), 0.16_wp*(k - 4), &

@@ -5,14 +5,15 @@ module test_contact
   use castnet_model, only: model_t, contact_t
   use castnet_state, only: state_t
   use castnet_shape, only: signed_distance
-  use castnet_rotation, only: rotation_matrix, multiply, normalise_quaternion
+  use castnet_rotation, only: rotation_matrix, multiply
   use castnet_contact_list, only: contact_list_t, body_inertia_t, impulse_report_t, reserve_contacts
   use castnet_contact_response, only: contact_solver_t, resolve_contacts
   use castnet_contact_event, only: contact_work_t, new_contact_work, handle_contacts, detect_contacts
   use castnet_contact_horizon, only: earliest_contact_time
   use castnet_broad_phase, only: net_box, boxes_apart
   use contact_cases, only: new_case, add_cables, set_body, momentum, angular_momentum, kinetic_energy, &
-                           elastic_energy, centre_of_mass, random_t, uniform, normal_draw, random_direction, random_contacts
+                           elastic_energy, centre_of_mass, random_t, uniform, uniform_point, normal_draw, &
+                           random_direction, random_quaternion, random_contacts
   use testing, only: test_case, expect, expect_close, expect_equal, note
   implicit none
   private
@@ -60,7 +61,7 @@ contains
     type(contact_work_t) :: work
     type(random_t) :: random
     character(len=8) :: shapes(4)
-    real(wp) :: r(3, 3), d(1), g(3, 1), y(3, 1)
+    real(wp) :: r(3, 3), d(1), g(3, 1), y(3, 1), far
     integer :: s, i, k, trial, seen
     shapes = [character(len=8) :: 'box', 'cylinder', 'sphere', 'capsule']
     do s = 1, 4
@@ -68,10 +69,11 @@ contains
       call new_contact_work(work, model)
       seen = 0
       do trial = 1, 20
-        state%target%position = [uniform(random), uniform(random), uniform(random)]
-        state%target%attitude = normalise_quaternion([normal_draw(random), random_direction(random)])
+        state%target%position = uniform_point(random)
+        state%target%attitude = random_quaternion(random)
         do i = 1, 100
-          state%node_position(i, :) = state%target%position + 2.0_wp*uniform(random)*random_direction(random)
+          far = 2.0_wp*uniform(random)
+          state%node_position(i, :) = state%target%position + far*random_direction(random)
         end do
         call detect_contacts(model, state, work, r)
         k = 0
@@ -238,7 +240,7 @@ contains
     type(random_t), intent(inout) :: random
     type(model_t), intent(out) :: model
     type(state_t), intent(out) :: state
-    real(wp) :: r(3, 3), y(3), half(3)
+    real(wp) :: r(3, 3), y(3), half(3), out, speed
     integer :: i, axis
     call new_case(model, state, 40, [0.1_wp], 'box', [1.0_wp, 2.0_wp, 0.5_wp], 3.0_wp, 0.01_wp)
     call set_body(model, 3.0_wp, [1.0_wp, 0.3_wp, 1.2_wp])
@@ -246,14 +248,16 @@ contains
     state%target%position = random_direction(random)
     state%target%velocity = random_direction(random)
     state%target%angular_velocity = random_direction(random)
-    state%target%attitude = normalise_quaternion([normal_draw(random), random_direction(random)])
+    state%target%attitude = random_quaternion(random)
     r = rotation_matrix(state%target%attitude)
     do i = 1, 40
       axis = 1 + int(3.0_wp*uniform(random))
-      y = half*[2.0_wp*uniform(random) - 1.0_wp, 2.0_wp*uniform(random) - 1.0_wp, 2.0_wp*uniform(random) - 1.0_wp]
-      y(axis) = sign(half(axis) + 0.005_wp*uniform(random), uniform(random) - 0.5_wp)
+      y = half*(2.0_wp*uniform_point(random) - 1.0_wp)
+      out = 0.005_wp*uniform(random)
+      y(axis) = sign(half(axis) + out, uniform(random) - 0.5_wp)
       state%node_position(i, :) = state%target%position + multiply(r, y)
-      state%node_velocity(i, :) = random_direction(random)*uniform(random)
+      speed = uniform(random)
+      state%node_velocity(i, :) = speed*random_direction(random)
     end do
   end subroutine random_cloud
 
@@ -264,7 +268,7 @@ contains
     type(impulse_report_t) :: report
     type(contact_t) :: contact
     type(random_t) :: random
-    real(wp) :: work, least
+    real(wp) :: work, least, e
     integer :: trial, n, lowered
     character(len=80) :: words
     lowered = 0
@@ -272,7 +276,8 @@ contains
     do trial = 1, 20000
       n = 1 + int(12.0_wp*uniform(random))
       call random_contacts(random, n, 10.0_wp**(4.0_wp*uniform(random) - 3.0_wp), 2.0_wp, list, body)
-      contact%restitution = merge(1.0_wp, uniform(random), mod(trial, 2) == 0)
+      e = uniform(random)
+      contact%restitution = merge(1.0_wp, e, mod(trial, 2) == 0)
       call resolve_contacts(contact, body, list, solver, report)
       work = sum(list%impulse(1:n)**2*list%inverse_mass_a(1:n))
       call expect(report%energy_loss >= -1.0e-12_wp*work, 'an event created energy')

@@ -196,8 +196,8 @@ contains
     call new_shape(panel, 'box', [0.4_wp, 0.3_wp, 0.0005_wp], error)
     seed = 3
     do i = 1, 100
-      p0(:, i) = [0.3_wp*(uniform(seed) - 0.5_wp), 0.2_wp*(uniform(seed) - 0.5_wp), 0.003_wp + 0.5_wp*uniform(seed)]
-      p1(:, i) = [0.3_wp*(uniform(seed) - 0.5_wp), 0.2_wp*(uniform(seed) - 0.5_wp), -0.003_wp - 0.5_wp*uniform(seed)]
+      p0(:, i) = [0.15_wp, 0.1_wp, 0.25_wp]*uniform_vector(seed, 1.0_wp) + [0.0_wp, 0.0_wp, 0.253_wp]
+      p1(:, i) = [0.15_wp, 0.1_wp, 0.25_wp]*uniform_vector(seed, 1.0_wp) - [0.0_wp, 0.0_wp, 0.253_wp]
     end do
     call swept_contact(panel, 100, p0, p1, 0.002_wp, t, hit, d, g)
     call expect(all(hit), 'every crossing is seen')

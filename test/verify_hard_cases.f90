@@ -12,7 +12,7 @@ module verify_hard_cases
   use castnet_diagnostics, only: record_history
   use castnet_record, only: history_row_t
   use contact_cases, only: new_case, set_body, momentum, angular_momentum, kinetic_energy, centre_of_mass, random_t, uniform, &
-                           random_direction
+                           uniform_point, random_direction
   use scenes, only: net_of, ready, fly
   use testing, only: test_case, expect, expect_close, note
   implicit none
@@ -54,7 +54,7 @@ contains
           model%contact%restitution = real(e, wp)
           model%contact%friction = 0.3_wp*f
           do i = 1, n
-            side = [(uniform(random) - 0.5_wp), 0.8_wp*(uniform(random) - 0.5_wp), 0.6_wp*(uniform(random) - 0.5_wp)]
+            side = [1.0_wp, 0.8_wp, 0.6_wp]*(uniform_point(random) - 0.5_wp)
             select case (mod(i, 3))
             case (0)
               side(1) = sign(0.5_wp + 1.0e-3_wp*(uniform(random) - 0.5_wp), side(1))

@@ -17,7 +17,8 @@ module castnet_contact_response
   use castnet_contact_list, only: contact_list_t, body_inertia_t, impulse_report_t, lane
   use castnet_impulse_solver, only: impulse_problem_t, reserve_problem, solve_single, solve_reduced, measure, pad, &
                                     twist_of_impulses
-  use castnet_friction_solver, only: friction_problem_t, reserve_friction, solve_friction
+  use castnet_friction_problem, only: friction_problem_t, reserve_friction
+  use castnet_friction_solver, only: solve_friction
   use castnet_coupled_friction, only: coupled_work_t, newton_work_t, reserve_coupled, solve_coupled_friction
   use castnet_coupled_solver, only: group_work_t, reserve_groups, solve_coupled, shares_nodes
   use castnet_dense_impulse, only: solve_dense
@@ -30,8 +31,7 @@ module castnet_contact_response
   real(wp), parameter :: energy_rounding = 1.0e-13_wp
   integer, parameter :: max_trial = 60
   real(wp), parameter :: nearly = 1.0e-2_wp   !! residual of an event that is kept unconverged, of the largest speed [-]
-  integer, parameter :: max_turn = 20
-  integer, parameter :: max_turn_coupled = 3
+  integer, parameter :: max_turn = 3
   integer, parameter :: max_unsolved = 4      !! coefficients tried without an answer before the search gives up
 
   !> The solvers' scratch.
@@ -197,32 +197,23 @@ contains
   end subroutine attempt
 
   !> The solver with friction that fits: the 6 x 6 form where every contact has a mass of
-  !> its own; else contact by contact. Where the 6 x 6 form fails (seen only with nodes
-  !> ten times heavier than the body) sweeps contact by contact bring it near, by turns.
+  !> its own; else contact by contact.
   subroutine solve_tangential(body, list, solver, report)
     type(body_inertia_t), intent(in) :: body
     type(contact_list_t), intent(in) :: list
     type(contact_solver_t), intent(inout) :: solver
     type(impulse_report_t), intent(inout) :: report
     integer :: used, turn
-    logical :: reducible
-    reducible = .not. (has_fixed_point(solver%normal) .or. solver%coupled_contacts)
-    used = 0
-    if (reducible) then
-      report%twist = 0.0_wp
-      call solve_friction(solver%friction, body, .true., report%iterations, report%residual, report%converged, report%twist)
-      if (report%converged) return
-      used = report%iterations
+    if (.not. (has_fixed_point(solver%normal) .or. solver%coupled_contacts)) then
+      call solve_friction(solver%friction, body, report%iterations, report%residual, report%converged, report%twist)
+      return
     end if
     call reserve_coupled(solver%coupled, list%capacity, maxval(max(list%node_a(1:list%n), list%node_b(1:list%n))))
     solver%friction%impulse(1:list%n, :) = 0.0_wp
-    do turn = 1, merge(max_turn, max_turn_coupled, reducible)
+    used = 0
+    do turn = 1, max_turn
       call solve_coupled_friction(solver%friction, list, body, solver%coupled, solver%newton, report%iterations, report%residual, &
                                   report%converged, report%twist)
-      used = used + report%iterations
-      if (report%converged) exit
-      if (.not. reducible) cycle
-      call solve_friction(solver%friction, body, .false., report%iterations, report%residual, report%converged, report%twist)
       used = used + report%iterations
       if (report%converged) exit
     end do

@@ -14,7 +14,7 @@
 module castnet_coupled_friction
   use castnet_kinds, only: wp
   use castnet_contact_list, only: contact_list_t, body_inertia_t, shared_mobility
-  use castnet_friction_solver, only: friction_problem_t, cone_impulse, cone_derivative
+  use castnet_friction_problem, only: friction_problem_t, cone_impulse, cone_derivative
   implicit none
   private
   public :: coupled_work_t, newton_work_t, reserve_coupled, solve_coupled_friction, number_nodes
