@@ -21,6 +21,7 @@ contains
     call test_case('setup: a step above the limit is refused, or warned of', refused_steps)
     call test_case('setup: at zeta = 2 the damped limit counts', damped_limit)
     call test_case('setup: a body starts where its phase says', phases)
+    call test_case('setup: a net that starts inside the target is seen', overlaps)
     call test_case('setup: a perturbed start does not loosen the limit', perturbed_limit)
   end subroutine run_test_setup
 
@@ -100,6 +101,27 @@ contains
     call try(scene, report, error)
     call expect_close(report%step, 1.0e-2_wp, 'by the end', rtol=1.0e-14_wp)
   end subroutine chosen_steps
+
+  !> The stowed net lies in the plane x = 0 round the origin: its middle node is 0.04 m from the
+  !> back face of a box of 0.1 m about x = 0.01 m, the nearest of its faces.
+  subroutine overlaps()
+    type(scene_t) :: scene
+    type(step_report_t) :: report
+    type(error_t), allocatable :: error
+    scene = cubesat_shot()
+    call add_target(scene)
+    allocate (scene%contact)
+    scene%contact%threshold = 2.0e-3_wp
+    call try(scene, report, error)
+    call expect_equal(report%overlap_node, 0, 'far away')
+    scene%target%position = [0.01_wp, 0.0_wp, 0.0_wp]
+    call try(scene, report, error)
+    call expect(report%overlap_node > 0, 'seen')
+    call expect_close(report%overlap, 0.04_wp, 'its depth', atol=1.0e-3_wp)
+    scene%target%position = [0.0501_wp, 0.0_wp, 0.0_wp]
+    call try(scene, report, error)
+    call expect_equal(report%overlap_node, 0, 'just before it')
+  end subroutine overlaps
 
   subroutine refused_steps()
     type(scene_t) :: scene

@@ -13,7 +13,8 @@ module castnet_check_command
   use castnet_scene_text, only: effective_scene
   use castnet_simulation, only: simulation_t, due_t, start, run_to_next, is_finished
   use castnet_study_file, only: read_study_text, effective_study, is_study_text
-  use castnet_study_request, only: study_request_t, grid_size
+  use castnet_setup, only: overlap_words
+  use castnet_study_request, only: study_request_t, grid_size, is_search
   use castnet_terminal, only: warn_lines, say, tell
   use castnet_text, only: to_text, duration_text, path_beside
   use castnet_text_file, only: read_text_file
@@ -78,9 +79,16 @@ contains
     call say('scene            '//path_beside(request%path, trim(request%study%scene)))
     call say('question         '//trim(request%study%question))
     do i = 1, size(request%vary)
-      call say('varies           '//trim(request%vary(i)%key)//', '//to_text(grid_size(request%vary(i)))//' grid values')
+      call say('varies           '//trim(request%vary(i)%key)//', '//how_varied(request, i))
     end do
-    call say('runs             '//to_text(planned_runs(request)))
+    if (is_search(request)) call say('searches         '//trim(request%search%key)//', '// &
+      to_text(planned_runs(request)/request%search%budget)//' times, of at most '//to_text(request%search%budget)//' runs')
+    if (is_search(request)) then
+      call say('runs             at most '//to_text(planned_runs(request)))
+    else
+      call say('runs             '//to_text(planned_runs(request)))
+    end if
+    if (request%study%record == 'runs') call say('record           each run''s own file beside the table')
     call say('output           '//path_beside(request%path, trim(request%study%file)))
   end subroutine check_study_file
 
@@ -90,6 +98,7 @@ contains
     integer(i8) :: runs
     integer :: i
     runs = request%study%seeds
+    if (is_search(request)) runs = request%search%budget
     if (request%sample%kind == 'grid') then
       do i = 1, size(request%vary)
         runs = runs*max(1, grid_size(request%vary(i)))
@@ -97,8 +106,23 @@ contains
     else
       runs = runs*max(1, request%sample%points)
     end if
-    if (allocated(request%search) .and. request%study%question /= 'map') runs = request%search%budget
   end function planned_runs
+
+  !> Where the values of a varied key come from.
+  function how_varied(request, i) result(text)
+    type(study_request_t), intent(in) :: request
+    integer, intent(in) :: i
+    character(len=:), allocatable :: text
+    associate (v => request%vary(i))
+      if (request%sample%kind /= 'grid') then
+        text = 'one value for each of '//to_text(request%sample%points)//' points of the design'
+      else if (grid_size(v) > 0) then
+        text = to_text(grid_size(v))//' values'
+      else
+        text = 'drawn anew for each run'
+      end if
+    end associate
+  end function how_varied
 
   !> Set the run up, try a few steps, and tell what it would be.
   subroutine check_run(scene, path, threads, error)
@@ -125,6 +149,7 @@ contains
       three(sim%model%target%mass)//' kg'//trim(merge(', fixed', '       ', scene%target%fixed)))
     call say('step             '//to_text(sim%model%step)//' s, '//sim%report%reason)
     if (sim%report%unstable) call warn_lines('the step is above the stability limit')
+    if (sim%report%overlap_node > 0) call warn_lines(overlap_words(sim%report))
     call say('steps            '//to_text(sim%last_step)//' to t = '//to_text(scene%time%end_time)//' s')
     call estimate_seconds(sim, seconds)
     if (seconds >= 0.0_wp) call say('estimated time   '//duration_text(seconds)//' without contact, '//to_text(threads)// &

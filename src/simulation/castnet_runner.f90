@@ -19,6 +19,7 @@ module castnet_runner
   use castnet_scene, only: scene_t
   use castnet_scene_files, only: data_contents, check_same_contents
   use castnet_scene_net, only: load_scene_net
+  use castnet_setup, only: overlap_words
   use castnet_shape, only: tessellate
   use castnet_signals, only: install_signal_handlers, stop_request_code
   use castnet_simulation, only: simulation_t, due_t, start, run_to_next, is_finished, take_measures, take_row, &
@@ -111,6 +112,7 @@ contains
     if (allocated(error)) return
     if (sim%report%unstable) call log_warning(log, 'time/step: '//to_text(sim%report%step)// &
       ' s is above the stability limit, '//to_text(sim%report%stable_limit)//' s; the scene allows it')
+    if (sim%report%overlap_node > 0 .and. .not. allocated(options%restart)) call log_warning(log, overlap_words(sim%report))
     call log_note(log, 'step '//to_text(sim%model%step)//' s, '//sim%report%reason)
     call take_lock(lock, options%output, error)
     if (allocated(error)) return

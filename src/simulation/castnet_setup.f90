@@ -10,15 +10,16 @@ module castnet_setup
   use castnet_net, only: net_t
   use castnet_net_builder, only: build_square_net
   use castnet_perturb, only: perturbation_t
+  use castnet_rotation, only: rotation_matrix, multiply_transposed
   use castnet_scene, only: scene_t
   use castnet_stable_step, only: spectrum_t, net_spectrum, widen_by_thread, largest_stable_step
-  use castnet_shape, only: shape_bounding_radius
+  use castnet_shape, only: shape_bounding_radius, signed_distance
   use castnet_state, only: state_t
   use castnet_stepper, only: work_t, new_work
   use castnet_text, only: to_text
   implicit none
   private
-  public :: step_report_t, set_up, choose_step
+  public :: step_report_t, set_up, choose_step, overlap_words
 
   real(wp), parameter :: safe_fraction = 0.7_wp   !! of the stability limit, where the step is chosen for the user
   !> Of the contact threshold that a bullet may cross in a step. One-stage steps stay
@@ -35,6 +36,8 @@ module castnet_setup
     real(wp) :: step = 0.0_wp                !! [s]
     logical :: unstable = .false.            !! above the limit, allowed by the scene
     character(len=:), allocatable :: reason  !! what set the step
+    real(wp) :: overlap = 0.0_wp             !! depth of the deepest node inside the target at t = 0 [m]
+    integer :: overlap_node = 0              !! which one; 0: none lies deeper than the contact threshold
   end type step_report_t
 
 contains
@@ -54,6 +57,7 @@ contains
     if (allocated(error)) return
     call choose_step(scene, model, state, report, error)
     if (allocated(error)) return
+    call find_overlap(model, state, report)
     model%step = report%step
     call new_work(work, model, n_thread)
     if (model%method == method_midpoint) call midpoint_begin(state)
@@ -143,6 +147,40 @@ contains
     end if
     report%step = min(report%step, scene%time%end_time)
   end subroutine choose_step
+
+  !> Does the net start inside the target? Contact pushes such nodes out, at once and a long
+  !> way: a scene that nobody means.
+  subroutine find_overlap(model, state, report)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(in) :: state
+    type(step_report_t), intent(inout) :: report
+    real(wp), allocatable :: point(:, :), distance(:), normal(:, :)
+    real(wp) :: r(3, 3)
+    integer :: i, n
+    if (.not. allocated(model%contact)) return
+    n = model%net%n_node
+    allocate (point(3, n), distance(n), normal(3, n))
+    r = rotation_matrix(state%target%attitude)
+    do i = 1, n
+      point(:, i) = multiply_transposed(r, state%node_position(i, :) - state%target%position)
+    end do
+    call signed_distance(model%target%shape, n, point, distance, normal)
+    i = minloc(distance, dim=1)
+    if (.not. distance(i) < -model%contact%threshold) return
+    report%overlap = -distance(i)
+    report%overlap_node = i
+    if (allocated(model%net%original_node)) report%overlap_node = model%net%original_node(i)
+  end subroutine find_overlap
+
+  !> What is to be said of a net that starts inside the target.
+  function overlap_words(report) result(words)
+    type(step_report_t), intent(in) :: report
+    character(len=:), allocatable :: words
+    character(len=12) :: depth
+    write (depth, '(es9.2)') report%overlap
+    words = 'target/position: the net starts inside the target: its node '//to_text(report%overlap_node - 1)// &
+            ' (counted from 0) lies '//trim(adjustl(depth))//' m deep'
+  end function overlap_words
 
   !> The spectrum with every contact spring pushing, at the speed of the shot.
   subroutine widen_by_contact(spectrum, scene, model, state)

@@ -9,7 +9,7 @@
 module castnet_study_case
   use castnet_kinds, only: wp, i8
   use castnet_diagnostics, only: largest_tension
-  use castnet_error, only: error_t, exit_done, exit_numerical, exit_file
+  use castnet_error, only: error_t, fail, exit_done, exit_input, exit_numerical, exit_file
   use castnet_model_builder, only: file_net_t
   use castnet_posix, only: path_kind, path_file
   use castnet_problems, only: problem_list_t
@@ -22,6 +22,7 @@ module castnet_study_case
   use castnet_scene_net, only: load_scene_net
   use castnet_scene_schema, only: set_key
   use castnet_scene_text, only: effective_scene
+  use castnet_setup, only: overlap_words
   use castnet_signals, only: stop_request_code
   use castnet_simulation, only: simulation_t, due_t, start, run_to_next, is_finished, take_measures, frame_taken, summarise
   use castnet_study_design, only: design_t, case_point, case_values, case_seed
@@ -86,7 +87,8 @@ contains
     if (allocated(setting%folder)) call close_run_file(sim, writer, finished, problem, error)
   end subroutine run_case
 
-  !> From a case's number to a run at t = 0.
+  !> From a case's number to a run at t = 0. A net that starts inside the target is refused:
+  !> where a single run warns, no one reads the warnings of thousands.
   subroutine start_case(setting, case, value, row, scene, sim, problem)
     type(case_setting_t), intent(in) :: setting
     integer(i8), intent(in) :: case
@@ -105,6 +107,10 @@ contains
     if (.not. allocated(problem)) call load_scene_net(scene, file_net, problem)
     !$omp end critical (castnet_text)
     if (.not. allocated(problem)) call start(sim, scene, 1, file_net, problem)
+    if (allocated(problem) .or. sim%report%overlap_node == 0) return
+    !$omp critical (castnet_text)
+    call fail(problem, exit_input, overlap_words(sim%report))
+    !$omp end critical (castnet_text)
   end subroutine start_case
 
   !> The base scene with a case's values.

@@ -16,7 +16,7 @@ import h5py
 import numpy as np
 
 CASTNET = os.path.abspath(sys.argv[1])
-INPUT = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "..", "input")
+INPUT = os.path.abspath(os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "..", "input"))
 passed = failed = 0
 
 SCENE = """
@@ -81,8 +81,11 @@ def check_overlap(folder):
     check(r.returncode == 0, "a study with a start inside the target ends with 0 " + r.stderr[-200:])
     if r.returncode == 0:
         rows = table(os.path.join(folder, "overlap.h5"))
-        print("      ", rows["case/status"][19], rows["case/reason"][19].decode())
-        check(bool((rows["case/status"][:19] == 0).all()), "and runs the others")
+        check(rows["case/status"].tolist() == [0] * 19 + [2] and b"starts inside the target" in rows["case/reason"][19],
+              "names it and runs the others")
+        check(rows["point/runs"].tolist() == [1] * 19 + [0] and np.isnan(rows["point/probability"][19]), "and does not count it")
+    r = run(folder, "run", "scene.nml", "--set", "target/position(1)=0", "--output", "overlap_run.h5")
+    check(r.returncode == 0 and "warning: target/position: the net starts inside the target" in r.stderr, "a single run warns of it")
 
 
 def check_searches(folder):
@@ -171,6 +174,38 @@ def check_races(folder):
     check(bool((one["case/status"] == 0).all()) and same(one, four), "4000 short cases on four threads, same bits")
 
 
+def check_clusters(folder):
+    """The scripts for GNU parallel and Dask give the table of one process."""
+    tools = os.path.join(os.path.dirname(INPUT), "tools", "cluster")
+    write(folder, "spread.nml", STUDY.format(seeds=2))
+    run(folder, "study", "spread.nml", "--output", "spread_whole.h5")
+    whole = table(os.path.join(folder, "spread_whole.h5"))
+    options = os.environ | {"CASTNET": CASTNET}
+
+    def script(name, *words, more=None):
+        command = [sys.executable] if name.endswith(".py") else ["bash"]
+        return subprocess.run(command + [os.path.join(tools, name), "spread.nml", "3", *words], cwd=folder, capture_output=True,
+                              text=True, env=options | (more or {}), stdin=subprocess.DEVNULL, timeout=300)
+
+    if shutil.which("parallel"):
+        r = script("study_parallel.sh", "-j", "2", more={"CASTNET_OPTIONS": "--output parallel.h5"})
+        check(r.returncode == 0 and same(whole, table(os.path.join(folder, "parallel.h5"))),
+              "GNU parallel, same bits " + r.stderr[-300:])
+        r = script("study_parallel.sh", more={"CASTNET_OPTIONS": "--set study/sead=1"})
+        check(r.returncode != 0 and "did you mean seed" in r.stderr, "and a shard that fails fails the script")
+    else:
+        print("skip  GNU parallel is not installed")
+    try:
+        import distributed  # noqa: F401
+    except ImportError:
+        print("skip  the package distributed is not installed")
+        return
+    r = script("study_dask.py", "--", "--output", "dask.h5")
+    check(r.returncode == 0 and same(whole, table(os.path.join(folder, "dask.h5"))), "Dask, same bits " + r.stderr[-300:])
+    r = script("study_dask.py", "--", "--set", "study/sead=1")
+    check(r.returncode != 0 and "did you mean seed" in r.stderr, "and a shard that fails fails the script")
+
+
 def main():
     folder = tempfile.mkdtemp(prefix="castnet_study_")
     write(folder, "scene.nml", SCENE)
@@ -250,6 +285,7 @@ def main():
     check_searches(folder)
     check_runs(folder)
     check_races(folder)
+    check_clusters(folder)
 
     # Another study on the same journal is refused.
     write(folder, "s.nml", STUDY.format(seeds=5))
