@@ -162,6 +162,7 @@ contains
     real(wp), intent(in) :: mesh, diameter, edge, mass, speed, corner
     type(scene_t) :: scene
     allocate (scene%net, scene%bullets)
+    scene%time%method = 'rk4'
     scene%net%squares = squares
     scene%net%mesh_length = mesh
     scene%net%cable_diameter = diameter

@@ -18,6 +18,8 @@ contains
 
   subroutine run_test_setup()
     call test_case('setup: step = 0 takes 0.7 of the limit, or what threshold and spin allow', chosen_steps)
+    call test_case('setup: midpoint, the default: its own limit, a threshold, less where nothing damps', &
+                   chosen_midpoint_steps)
     call test_case('setup: a step above the limit is refused, or warned of', refused_steps)
     call test_case('setup: at zeta = 2 the damped limit counts', damped_limit)
     call test_case('setup: a body starts where its phase says', phases)
@@ -83,6 +85,7 @@ contains
     type(step_report_t) :: report
     type(error_t), allocatable :: error
     scene = cubesat_shot()
+    scene%time%method = 'rk4'
     call try(scene, report, error)
     call expect(.not. allocated(error), 'no error')
     call expect_close(report%step, 0.7_wp*report%stable_limit, 'of a free shot', rtol=1.0e-14_wp)
@@ -123,11 +126,31 @@ contains
     call expect_equal(report%overlap_node, 0, 'just before it')
   end subroutine overlaps
 
+  subroutine chosen_midpoint_steps()
+    type(scene_t) :: scene
+    type(step_report_t) :: report
+    type(error_t), allocatable :: error
+    scene = cubesat_shot()
+    call try(scene, report, error)
+    call expect_close(report%step, 0.7_wp*report%stable_limit, 'of a free shot', rtol=1.0e-14_wp)
+    call expect(report%stable_limit < 2.0_wp/report%spectrum%highest_frequency, 'damping lowers its limit')
+    call add_target(scene)
+    allocate (scene%contact)
+    scene%contact%threshold = 1.0e-4_wp
+    call try(scene, report, error)
+    call expect_close(report%step, 1.0e-4_wp/1.8_wp, 'by the threshold', rtol=1.0e-14_wp)
+    scene = cubesat_shot()
+    scene%net%damping_ratio = 0.0_wp
+    call try(scene, report, error)
+    call expect_close(report%step, 0.5_wp/report%spectrum%highest_frequency, 'undamped', rtol=1.0e-14_wp)
+  end subroutine chosen_midpoint_steps
+
   subroutine refused_steps()
     type(scene_t) :: scene
     type(step_report_t) :: report
     type(error_t), allocatable :: error
     scene = cubesat_shot()
+    scene%time%method = 'rk4'
     scene%time%step = 1.84e-4_wp
     call try(scene, report, error)
     call expect(.not. allocated(error) .and. .not. report%unstable, 'just below')
@@ -156,6 +179,7 @@ contains
     type(step_report_t) :: report
     type(error_t), allocatable :: error
     scene = cubesat_shot()
+    scene%time%method = 'rk4'
     scene%net%damping_ratio = 2.0_wp
     call try(scene, report, error)
     call note('limit at zeta = 2: '//words(report%stable_limit))

@@ -364,6 +364,7 @@ contains
     real(wp), intent(in) :: damping_ratio
     type(scene_t) :: scene
     allocate (scene%net, scene%bullets, scene%closing)
+    scene%time%method = 'rk4'
     scene%net%squares = 4
     scene%net%mesh_length = 0.5_wp
     scene%net%cable_diameter = 1.0e-3_wp
@@ -547,6 +548,7 @@ contains
   function rocket_scene() result(scene)
     type(scene_t) :: scene
     allocate (scene%net, scene%bullets, scene%closing)
+    scene%time%method = 'rk4'
     scene%net%squares = 20
     scene%net%mesh_length = 1.5_wp
     scene%net%cable_diameter = 1.0e-3_wp

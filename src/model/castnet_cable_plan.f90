@@ -40,6 +40,7 @@ module castnet_cable_plan
     real(wp), allocatable :: stiffness(:)      !! (n_slot) k = EA / natural length, 0 for phantoms [N/m]
     real(wp), allocatable :: natural_length(:) !! (n_slot) [m]
     real(wp), allocatable :: damping(:)        !! (n_slot) [N s/m]
+    real(wp), allocatable :: applied_damping(:) !! (n_slot) the same as the method applies it (midpoint_damping) [N s/m]
   end type cable_plan_t
 
 contains
@@ -124,6 +125,7 @@ contains
       plan%stiffness(j) = axial_stiffness(c)/natural_length(c)
       plan%damping(j) = damping(c)
     end do
+    plan%applied_damping = plan%damping
     call build_loose_incidence(plan, n_node)
   end subroutine build_cable_plan
 

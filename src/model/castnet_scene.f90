@@ -93,7 +93,7 @@ module castnet_scene
   type :: time_group_t
     real(wp) :: end_time = unset                    !! [s]
     real(wp) :: step = 0.0_wp                       !! [s], 0 = chosen
-    character(len=word_length) :: method = 'rk4'    !! 'rk4', 'midpoint', 'adaptive'
+    character(len=word_length) :: method = 'midpoint' !! 'rk4', 'midpoint', 'adaptive'
     real(wp) :: tolerance = 1.0e-8_wp               !! for 'adaptive'
     logical :: allow_unstable = .false.
   end type time_group_t

@@ -124,13 +124,13 @@ contains
     if (d <= n_full) then
       call strided_tension(m, x(a, 1), x(a, 2), x(a, 3), x(b, 1), x(b, 2), x(b, 3), &
                            v(a, 1), v(a, 2), v(a, 3), v(b, 1), v(b, 2), v(b, 3), &
-                           plan%stiffness(slot), plan%natural_length(slot), plan%damping(slot), floor_tension, &
+                           plan%stiffness(slot), plan%natural_length(slot), plan%applied_damping(slot), floor_tension, &
                            slab%force(a, 1, d), slab%force(a, 2, d), slab%force(a, 3, d), power)
     else
       row = slab%base(d) + a
       call strided_tension(m, x(a, 1), x(a, 2), x(a, 3), x(b, 1), x(b, 2), x(b, 3), &
                            v(a, 1), v(a, 2), v(a, 3), v(b, 1), v(b, 2), v(b, 3), &
-                           plan%stiffness(slot), plan%natural_length(slot), plan%damping(slot), floor_tension, &
+                           plan%stiffness(slot), plan%natural_length(slot), plan%applied_damping(slot), floor_tension, &
                            slab%rest(row, 1), slab%rest(row, 2), slab%rest(row, 3), power)
     end if
   end subroutine diagonal_cables
@@ -193,7 +193,7 @@ contains
       stretch = square*inverse - plan%natural_length(slot)
       rate = (dx*(v(b, 1) - v(a, 1)) + (dy*(v(b, 2) - v(a, 2)) + dz*(v(b, 3) - v(a, 3))))*inverse
       spring = plan%stiffness(slot)*stretch
-      tension = merge(max(floor_tension, spring + plan%damping(slot)*rate), 0.0_wp, stretch > 0.0_wp)
+      tension = merge(max(floor_tension, spring + plan%applied_damping(slot)*rate), 0.0_wp, stretch > 0.0_wp)
       power(k) = merge((tension - spring)*rate, 0.0_wp, stretch > 0.0_wp)
       tension = tension*inverse
       force(k, 1) = tension*dx

@@ -6,6 +6,7 @@
 module castnet_integrator
   use castnet_kinds, only: wp
   use castnet_model, only: model_t, method_adaptive
+  use castnet_net, only: net_t
   use castnet_state, only: state_t, body_state_t
   use castnet_body_dynamics, only: body_rate_t, body_rate, body_advance, body_rk4, body_alone, body_kick, &
                                    orbital_acceleration
@@ -15,7 +16,8 @@ module castnet_integrator
   use castnet_extra_force, only: has_extra_force, gather_extra_force
   implicit none
   private
-  public :: flow_work_t, new_flow_work, rk4_step, midpoint_step, midpoint_begin, midpoint_positions, midpoint_disturbed
+  public :: flow_work_t, new_flow_work, rk4_step, midpoint_step, midpoint_begin, midpoint_damping, &
+            midpoint_positions, midpoint_disturbed
 
   !> Scratch of the cable forces.
   type :: cable_work_t
@@ -41,6 +43,8 @@ module castnet_integrator
     logical :: midpoint_ready = .false.            !! xa holds the next midpoint
     logical :: positions_lag = .false.             !! state%node_position is still that of some step before
   end type flow_work_t
+
+  real(wp), parameter :: extrapolation = 0.4_wp    !! see midpoint_damping
 
   !> What a sweep does with the accelerations a of its nodes.
   integer, parameter :: stage_first = 1   !! rk4: slopes begin, out = x + h v
@@ -199,6 +203,27 @@ contains
       call body_flow(model, state%target, h, state%ledger%external_work)
     end if
   end subroutine midpoint_step
+
+  !> The damping that the one-stage method applies. It extrapolates velocities to the
+  !> midpoint, v(t) + h/2 a(t - h/2), which damps a mode of frequency w 1 + (h w)^2/2 times
+  !> too fast, and higher orders. Each cable's coefficient is divided by 1 + 0.4 (h w)^2 at
+  !> the frequency of the cable alone between its two ends, w^2 = k/mu: second order in h, as
+  !> the method is. 0.4, not 1/2, because what is damped are waves that are longer than one
+  !> cable; chosen by ensembles (docs/performance.md). Without it a rocket's capture at 0.7
+  !> of the stability limit is one with a damping ratio of 0.125 in place of 0.1.
+  subroutine midpoint_damping(net, h)
+    type(net_t), intent(inout) :: net
+    real(wp), intent(in) :: h !! [s]
+    real(wp) :: squared       !! w^2 [1/s2]
+    integer :: c
+    do c = 1, net%n_cable
+      squared = net%axial_stiffness(c)/net%natural_length(c) &
+                *(net%inverse_mass(net%cable_nodes(1, c)) + net%inverse_mass(net%cable_nodes(2, c)))
+      associate (slot => net%plan%slot_of_cable(c))
+        net%plan%applied_damping(slot) = net%plan%damping(slot)/(1.0_wp + extrapolation*h*h*squared)
+      end associate
+    end do
+  end subroutine midpoint_damping
 
   !> Positions at the end of the last step, from its midpoint.
   subroutine midpoint_positions(state, work, h)

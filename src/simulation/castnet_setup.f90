@@ -4,7 +4,7 @@ module castnet_setup
   use castnet_closing_thread, only: update_closing
   use castnet_compliant_contact, only: is_compliant, contact_rates
   use castnet_error, only: error_t, fail, exit_input
-  use castnet_integrator, only: midpoint_begin
+  use castnet_integrator, only: midpoint_begin, midpoint_damping
   use castnet_model, only: model_t, method_rk4, method_midpoint
   use castnet_model_builder, only: file_net_t, build_model
   use castnet_net, only: net_t
@@ -22,6 +22,11 @@ module castnet_setup
   public :: step_report_t, set_up, choose_step, overlap_words
 
   real(wp), parameter :: safe_fraction = 0.7_wp   !! of the stability limit, where the step is chosen for the user
+  !> One-stage steps are stable on any taut net up to the limit, but cables that go slack and
+  !> taut again pump energy into a net that hardly damps. Step times highest frequency up to
+  !> which it does not, undamped, and what each unit of damping adds: measured with
+  !> tools/stability_sweep.py.
+  real(wp), parameter :: undamped_phase = 0.5_wp, phase_by_damping = 25.0_wp
   !> Of the contact threshold that a bullet may cross in a step. One-stage steps stay
   !> unbiased up to a whole threshold (docs/performance.md), and 'adaptive' divides them by
   !> itself; the paper's rule is a tenth.
@@ -59,6 +64,7 @@ contains
     if (allocated(error)) return
     call find_overlap(model, state, report)
     model%step = report%step
+    if (model%method == method_midpoint .and. allocated(model%net)) call midpoint_damping(model%net, model%step)
     call new_work(work, model, n_thread)
     if (model%method == method_midpoint) call midpoint_begin(state)
     if (allocated(model%closing)) call update_closing(model, state, 0.0_wp)
@@ -77,7 +83,7 @@ contains
     type(perturbation_t) :: nominal
     type(net_t) :: net
     real(wp), allocatable :: position(:, :), velocity(:, :)
-    real(wp) :: spin, net_limit, fraction
+    real(wp) :: spin, net_limit, fraction, ratio, phase
     character(len=:), allocatable :: thread
 
     thread = ''
@@ -136,6 +142,15 @@ contains
     if (report%stable_limit < huge(1.0_wp)) then
       report%step = safe_fraction*report%stable_limit
       report%reason = '0.7 of the stability limit'
+    end if
+    if (model%method == method_midpoint .and. report%spectrum%highest_frequency > 0.0_wp) then
+      ! The largest damping ratio of a mode, near enough.
+      ratio = 0.5_wp*report%spectrum%largest_damping_rate/report%spectrum%highest_frequency
+      phase = undamped_phase + phase_by_damping*ratio
+      if (report%step*report%spectrum%highest_frequency > phase) then
+        report%step = phase/report%spectrum%highest_frequency
+        report%reason = 'what a net with hardly any damping bears'
+      end if
     end if
     if (allocated(model%contact) .and. allocated(scene%bullets)) then
       fraction = merge(threshold_fraction, threshold_fraction_others, model%method == method_rk4)
