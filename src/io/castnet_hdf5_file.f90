@@ -18,7 +18,7 @@ module castnet_hdf5_file
                   h5t_str_nullpad_f, h5t_native_double, h5t_native_real, h5t_native_integer, h5t_std_i32le, &
                   h5t_std_i64le, h5t_ieee_f64le, h5t_ieee_f32le, h5f_acc_trunc_f, h5f_acc_rdonly_f, h5f_acc_rdwr_f, &
                   h5f_scope_local_f, h5s_scalar_f, h5pcreate_f, h5pclose_f, h5p_file_access_f, h5p_dataset_xfer_f, &
-                  h5pset_buffer_f, h5kind_to_type, h5_integer_kind
+                  h5pset_buffer_f, h5pset_cache_f, h5kind_to_type, h5_integer_kind
   use h5ds, only: h5dsset_scale_f, h5dsattach_scale_f
   use castnet_kinds, only: wp, sp, i4, i8
   use castnet_error, only: error_t, fail, exit_file
@@ -153,6 +153,9 @@ contains
     integer(hid_t), intent(out) :: access
     integer, intent(out) :: status
     call h5pcreate_f(h5p_file_access_f, access, status)
+    ! No cache of chunks: a frame is written once and not read again, and every flush would go
+    ! through all chunks that a cache holds, and write those whole that a number was added to.
+    if (status >= 0) call h5pset_cache_f(access, 0, 0_size_t, 0_size_t, 0.0, status)
     if (status >= 0) status = castnet_use_safe_driver(access)
   end subroutine safe_access
 

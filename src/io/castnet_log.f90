@@ -9,7 +9,7 @@ module castnet_log
   use castnet_process_guard, only: print_line, print_error
   implicit none
   private
-  public :: log_t, new_log, log_result, log_note, log_warning, log_error, log_progress, end_progress
+  public :: log_t, new_log, log_result, log_note, log_warning, log_error, log_progress, progress_is_due, end_progress
 
   real(wp), parameter :: redraw_interval = 0.1_wp   !! between two moves of the line [s]
   character(len=1), parameter :: escape = achar(27), return = achar(13)
@@ -79,20 +79,35 @@ contains
     real(wp), intent(in) :: fraction    !! 0 to 1
     character(len=*), intent(in) :: text
     integer :: tenths
-    real(wp) :: now
-    if (.not. log%progress) return
-    tenths = int(10.0_wp*max(0.0_wp, min(1.0_wp, fraction)))
+    if (.not. progress_is_due(log, fraction)) return
+    tenths = tenths_of(fraction)
     if (log%terminal) then
-      now = wall_seconds()
-      if (now - log%drawn < redraw_interval .and. fraction < 1.0_wp) return
-      log%drawn = now
+      log%drawn = wall_seconds()
       call print_error(return//escape//'[K'//line(log, fraction, text))
       log%line_is_open = .true.
-    else if (tenths > log%tenths) then
+    else
       call write_error(line(log, fraction, text))
     end if
     log%tenths = max(tenths, log%tenths)
   end subroutine log_progress
+
+  !> Would `log_progress` say anything now? To ask costs less than to put its words together.
+  logical function progress_is_due(log, fraction)
+    type(log_t), intent(in) :: log
+    real(wp), intent(in) :: fraction    !! 0 to 1
+    progress_is_due = .false.
+    if (.not. log%progress) return
+    if (log%terminal) then
+      progress_is_due = fraction >= 1.0_wp .or. wall_seconds() - log%drawn >= redraw_interval
+    else
+      progress_is_due = tenths_of(fraction) > log%tenths
+    end if
+  end function progress_is_due
+
+  pure integer function tenths_of(fraction)
+    real(wp), intent(in) :: fraction
+    tenths_of = int(10.0_wp*max(0.0_wp, min(1.0_wp, fraction)))
+  end function tenths_of
 
   !> ' 42 %  t = 1.2 s of 3 s  0:00:05 left'
   function line(log, fraction, text)

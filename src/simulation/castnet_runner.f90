@@ -8,7 +8,8 @@ module castnet_runner
   use castnet_model_builder, only: file_net_t
   use castnet_monitors, only: watch_t, watch_row, watch_rest, tell_watch
   use castnet_lock, only: lock_t, take_lock, release_lock
-  use castnet_log, only: log_t, log_note, log_warning, log_progress, end_progress
+  use castnet_log, only: log_t, log_note, log_warning, log_progress, progress_is_due, &
+                         end_progress
   use castnet_output_files, only: check_output, protect_inputs, can_continue, stage_part, clear_leftovers
   use castnet_posix, only: wall_seconds
   use castnet_record, only: summary_t, history_row_t
@@ -150,8 +151,7 @@ contains
       call run_to_next(sim, due, error, look)
       if (allocated(error)) exit
       call observe(sim, due, writer, ledger, error)
-      if (due%row) call log_progress(log, sim%state%time/sim%model%end_time, &
-                                     't = '//to_text(sim%state%time)//' s of '//to_text(sim%model%end_time)//' s')
+      if (due%row) call tell_progress(log, sim)
       if (allocated(error) .or. is_finished(sim)) exit
       stop_code = stop_request_code()
       if (stop_code == exit_done .and. wall_seconds() - began > options%max_wall) stop_code = exit_stopped
@@ -191,6 +191,15 @@ contains
       error%message = error%message//'; no checkpoint was due before'
     end if
   end subroutine tell_what_is_left
+
+  subroutine tell_progress(log, sim)
+    type(log_t), intent(inout) :: log
+    type(simulation_t), intent(in) :: sim
+    real(wp) :: fraction
+    fraction = sim%state%time/sim%model%end_time
+    if (progress_is_due(log, fraction)) call log_progress(log, fraction, &
+      't = '//to_text(sim%state%time)//' s of '//to_text(sim%model%end_time)//' s')
+  end subroutine tell_progress
 
   !> A new output file, or the one that the checkpoint's run left.
   subroutine open_writer(sim, scene, effective_text, contents, options, writer, error)
