@@ -31,7 +31,6 @@ module castnet_contact_response
   real(wp), parameter :: energy_rounding = 1.0e-13_wp
   integer, parameter :: max_trial = 60
   real(wp), parameter :: nearly = 1.0e-2_wp   !! residual of an event that is kept unconverged, of the largest speed [-]
-  integer, parameter :: max_turn = 3
   integer, parameter :: max_unsolved = 4      !! coefficients tried without an answer before the search gives up
 
   !> The solvers' scratch.
@@ -197,27 +196,20 @@ contains
   end subroutine attempt
 
   !> The solver with friction that fits: the 6 x 6 form where every contact has a mass of
-  !> its own; else contact by contact.
+  !> its own; else contacts coupled through nodes.
   subroutine solve_tangential(body, list, solver, report)
     type(body_inertia_t), intent(in) :: body
     type(contact_list_t), intent(in) :: list
     type(contact_solver_t), intent(inout) :: solver
     type(impulse_report_t), intent(inout) :: report
-    integer :: used, turn
     if (.not. (has_fixed_point(solver%normal) .or. solver%coupled_contacts)) then
       call solve_friction(solver%friction, body, report%iterations, report%residual, report%converged, report%twist)
       return
     end if
     call reserve_coupled(solver%coupled, list%capacity, maxval(max(list%node_a(1:list%n), list%node_b(1:list%n))))
-    solver%friction%impulse(1:list%n, :) = 0.0_wp
-    used = 0
-    do turn = 1, max_turn
-      call solve_coupled_friction(solver%friction, list, body, solver%coupled, solver%newton, report%iterations, report%residual, &
-                                  report%converged, report%twist)
-      used = used + report%iterations
-      if (report%converged) exit
-    end do
-    report%iterations = used
+    call reserve_groups(solver%groups, list%capacity, maxval(max(list%node_a(1:list%n), list%node_b(1:list%n))))
+    call solve_coupled_friction(solver%friction, list, body, solver%coupled, solver%groups, solver%newton, report%iterations, &
+                                report%residual, report%converged, report%twist)
   end subroutine solve_tangential
 
   !> The frictionless solver that fits. Fixed nodes on a free target have no mass to put

@@ -1,32 +1,39 @@
 !> Impulses with friction where contacts act on each other through common nodes (cables)
-!> or cannot be put into the 6 x 6 form (fixed nodes), and where that form's search failed:
-!> Gauss-Seidel on the contacts, each solved in closed form against the present motion of
-!> its nodes and the body, and by turns Newton's method on all of them.
+!> or cannot be put into the 6 x 6 form (fixed nodes).
 !>
-!> A contact's own mobility is a_i 1 + G_i H G_i^T, isotropic but for the body's part;
-!> bounding that part by its trace makes the local step a proximal one, which is
-!> closed-form too. For light nodes on a heavy body the bound costs nothing.
+!> With j_i = law_i(u_i - rho_i j_i) the impulse that a mass 1/rho_i would need (any rho > 0
+!> says the same law) and P_i = -law_i', Newton's step solves
 !>
-!> With j_i = law_i(u_i) at the local step's mass and P_i = -law_i', Newton's step solves
-!> dj_i + P_i (W dj)_i - P_i rho_i dj_i = law_i - j_i, W = C M^-1 C^T + G H G^T all
-!> couplings, rho_i the contact's own bound. Sweeps settle who pushes and who slides;
-!> Newton's method does the last many digits, which sweeps gain one by one.
+!>     dj_i + P_i ((W - (1 - epsilon) rho) dj)_i = law_i - j_i,   W = A + G H G^T,
+!>
+!> A the couplings through nodes, which fall into groups, G H G^T those through the body:
+!> a band matrix for each group and six equations for the body. epsilon > 0 because two
+!> nodes and their cable on one face are one contact too many, and their impulses are not
+!> unique: it keeps the step short along what does not matter, and is lowered as Newton's
+!> method gets on. A step is kept when the error falls below the largest of the last eight:
+!> where two contacts are nearly one, the way down leads over a ridge.
+!>
+!> Where that fails sweeps give other places to begin: contact by contact, each solved in
+!> closed form, its mobility bounded by the trace of the body's part.
 module castnet_coupled_friction
   use castnet_kinds, only: wp
   use castnet_contact_list, only: contact_list_t, body_inertia_t, shared_mobility
+  use castnet_coupled_solver, only: group_work_t, find_groups, find_envelope
   use castnet_friction_problem, only: friction_problem_t, cone_impulse, cone_derivative
+  use castnet_six_by_six, only: solve_general
   implicit none
   private
-  public :: coupled_work_t, newton_work_t, reserve_coupled, solve_coupled_friction, number_nodes
+  public :: coupled_work_t, newton_work_t, reserve_coupled, solve_coupled_friction
 
-  integer, parameter :: max_sweep = 400
-  integer, parameter :: first_newton = 6     !! sweeps before Newton's method is tried
-  integer, parameter :: max_newton = 20      !! its steps in one try
-  integer, parameter :: max_cut = 7          !! halvings of a step
-  integer, parameter :: max_newton_size = 250 !! contacts up to which it is tried: its matrix has (3 n)^2 entries
-  !> Sweeps stop when no impulse changes velocities by more than this part of the
-  !> largest one [-].
+  integer, parameter :: max_try = 7
+  integer, parameter :: sweeps_between = 60  !! sweeps before another try
+  integer, parameter :: max_newton = 60      !! steps in one try
+  integer, parameter :: max_cut = 6          !! halvings of a step
+  integer, parameter :: memory = 8           !! errors that a step may go back to
+  real(wp), parameter :: first_epsilon = 1.0e-2_wp, least_epsilon = 1.0e-10_wp, largest_epsilon = 0.3_wp
+  !> The end of the search, of the largest speed [-].
   real(wp), parameter :: tolerance = 1.0e-13_wp
+  real(wp), parameter :: accept_below = 1.0e-10_wp
 
   !> Nodes that the contacts touch, numbered from 1, and their change of velocity.
   type :: coupled_work_t
@@ -39,8 +46,10 @@ module castnet_coupled_friction
 
   !> Newton's step; grown when needed.
   type :: newton_work_t
-    real(wp), allocatable :: matrix(:), right(:)
+    real(wp), allocatable :: band(:)        !! one group's matrix, by diagonals
+    real(wp), allocatable :: right(:, :)    !! (3n,7) law - j, and P G; then B^-1 of them
     real(wp), allocatable :: kept(:, :)     !! (3,n) impulses to go back to [N s]
+    real(wp), allocatable :: slope(:, :, :) !! (3,3,n) P
   end type newton_work_t
 
 contains
@@ -90,38 +99,72 @@ contains
     number = work%local(node)
   end subroutine give_number
 
-  !> Impulses of every contact, from those in `problem%impulse` on.
-  subroutine solve_coupled_friction(problem, list, body, work, dense, iterations, residual, converged, twist)
+  !> Impulses of every contact.
+  subroutine solve_coupled_friction(problem, list, body, work, groups, dense, iterations, residual, converged, twist)
     type(friction_problem_t), intent(inout) :: problem
     type(contact_list_t), intent(in) :: list
     type(body_inertia_t), intent(in) :: body
     type(coupled_work_t), intent(inout) :: work
+    type(group_work_t), intent(inout) :: groups
     type(newton_work_t), intent(inout) :: dense
     integer, intent(out) :: iterations
     real(wp), intent(out) :: residual   !! [m/s]
     logical, intent(out) :: converged
     real(wp), intent(out) :: twist(6)   !! change of the body's twist, inertial axes
     real(wp) :: largest, change
-    integer :: next_newton
-    logical :: done
+    integer :: try
     call number_nodes(list, work)
     call set_mobilities(problem, list, body, work, largest)
-    call replay(problem, list, body, work, twist)
-    next_newton = first_newton
-    do iterations = 1, max_sweep
-      call sweep(problem, list, body, work, twist, change)
-      if (change <= tolerance*largest) exit
-      if (iterations < next_newton .or. list%n > max_newton_size) cycle
-      call newton(problem, list, body, work, dense, twist, largest, done)
-      if (done) exit
-      next_newton = 2*iterations
+    call find_groups(list, groups)
+    call find_envelope(list, groups)
+    call reserve_newton(dense, list%n, widest(groups, list%n))
+    iterations = 0
+    do try = 1, max_try
+      call begin(try)
+      call newton(problem, list, body, work, groups, dense, first_epsilon*merge(1.0_wp, 10.0_wp, mod(try, 2) == 1), twist, &
+                  largest, iterations, residual)
+      converged = residual <= accept_below*largest
+      if (converged) exit
     end do
-    iterations = min(iterations, max_sweep)
-    ! The velocities of many small changes have gathered rounding: once more from the impulses.
-    call replay(problem, list, body, work, twist)
-    call measure(problem, list, work, twist, residual)
-    converged = residual <= 1.0e-10_wp*largest
+  contains
+    !> Where to begin: at rest, after sweeps, and with friction raised from nothing.
+    subroutine begin(try)
+      integer, intent(in) :: try
+      real(wp) :: friction
+      integer :: k
+      select case (try)
+      case (1, 2)
+        problem%impulse(1:list%n, :) = 0.0_wp
+      case (3, 4)
+        do k = 1, sweeps_between
+          call sweep(problem, list, body, work, twist, change)
+          if (change <= tolerance*largest) exit
+        end do
+        iterations = iterations + sweeps_between
+      case default
+        problem%impulse(1:list%n, :) = 0.0_wp
+        friction = problem%friction
+        do k = 0, 4**(try - 4) - 1
+          problem%friction = friction*k/4**(try - 4)
+          call replay(problem, list, body, work, twist)
+          call newton(problem, list, body, work, groups, dense, first_epsilon, twist, largest, iterations, residual)
+        end do
+        problem%friction = friction
+      end select
+      call replay(problem, list, body, work, twist)
+    end subroutine begin
   end subroutine solve_coupled_friction
+
+  !> Half the band of the widest group, in contacts.
+  pure integer function widest(groups, n)
+    type(group_work_t), intent(in) :: groups
+    integer, intent(in) :: n
+    integer :: p
+    widest = 0
+    do p = 1, n
+      widest = max(widest, p - groups%first(p))
+    end do
+  end function widest
 
   pure subroutine set_mobilities(problem, list, body, work, largest)
     type(friction_problem_t), intent(in) :: problem
@@ -250,201 +293,304 @@ contains
     end do
   end subroutine sweep
 
-  !> Newton's method from the present impulses, its steps cut until the law is nearer.
-  subroutine newton(problem, list, body, work, dense, twist, largest, done)
+  !> Newton's method from the present impulses; the best ones seen are left.
+  subroutine newton(problem, list, body, work, groups, dense, epsilon_at_first, twist, largest, iterations, residual)
     type(friction_problem_t), intent(inout) :: problem
     type(contact_list_t), intent(in) :: list
     type(body_inertia_t), intent(in) :: body
     type(coupled_work_t), intent(inout) :: work
+    type(group_work_t), intent(in) :: groups
     type(newton_work_t), intent(inout) :: dense
+    real(wp), intent(in) :: epsilon_at_first, largest
     real(wp), intent(inout) :: twist(6)
-    real(wp), intent(in) :: largest
-    logical, intent(out) :: done
-    real(wp) :: size_now, size_next, t
+    integer, intent(inout) :: iterations
+    real(wp), intent(out) :: residual
+    real(wp) :: epsilon, error, before, t, errors(memory)
     integer :: n, step, i, c, cut
     logical :: ok
     n = list%n
-    call reserve_matrix(dense, 3*n)
-    done = .false.
+    epsilon = epsilon_at_first
+    call measure(problem, list, work, twist, residual, error)
+    errors = error
     do step = 1, max_newton
-      call linearise(problem, list, body, work, twist, 3*n, dense%matrix, dense%right, size_now)
-      done = size_now <= tolerance*largest
-      if (done) return
-      call eliminate(3*n, dense%matrix, dense%right, ok)
+      if (residual <= tolerance*largest) return
+      call newton_step(problem, list, body, work, groups, dense, twist, epsilon, ok)
       if (.not. ok) return
+      iterations = iterations + 1
       do i = 1, n
         do c = 1, 3
           dense%kept(c, i) = problem%impulse(i, c)
         end do
       end do
+      before = error
       t = 1.0_wp
-      do cut = 0, max_cut
-        if (cut == max_cut) t = 0.0_wp
+      do cut = 1, max_cut
         do i = 1, n
           do c = 1, 3
-            problem%impulse(i, c) = dense%kept(c, i) + t*dense%right(3*(i - 1) + c)
+            problem%impulse(i, c) = dense%kept(c, i) + t*dense%right(3*(groups%place(i) - 1) + c, 1)
           end do
         end do
         call replay(problem, list, body, work, twist)
-        call measure(problem, list, work, twist, size_next)
-        if (size_next < (1.0_wp - 1.0e-3_wp*t)*size_now) exit
+        call measure(problem, list, work, twist, residual, error)
+        if (error < maxval(errors)) exit
         t = 0.5_wp*t
       end do
-      ! Downhill nowhere along the step: sweeps must go on from here.
-      if (cut > max_cut) return
+      if (cut == 1 .and. error < 0.5_wp*before) then
+        epsilon = max(0.1_wp*epsilon, least_epsilon)
+      else if (cut > 1 .or. error > before) then
+        epsilon = min(4.0_wp*epsilon, largest_epsilon)
+      end if
+      errors(1 + mod(step, memory)) = error
     end do
   end subroutine newton
 
-  subroutine reserve_matrix(work, m)
+  !> Room for groups of a half band of `width` contacts.
+  subroutine reserve_newton(work, n, width)
     type(newton_work_t), intent(inout) :: work
-    integer, intent(in) :: m
-    if (allocated(work%right)) then
-      if (size(work%right) >= m) return
-      deallocate (work%matrix, work%right, work%kept)
+    integer, intent(in) :: n, width
+    integer :: m
+    m = (3*(3*width + 2) + 1)*3*n
+    if (allocated(work%band)) then
+      if (size(work%band) < m) deallocate (work%band)
     end if
-    allocate (work%matrix((2*m)*(2*m)), work%right(2*m), work%kept(3, (2*m)/3 + 1), source=0.0_wp)
-  end subroutine reserve_matrix
+    if (.not. allocated(work%band)) allocate (work%band(2*m), source=0.0_wp)
+    if (allocated(work%right)) then
+      if (size(work%right, 1) >= 3*n) return
+      deallocate (work%right, work%kept, work%slope)
+    end if
+    allocate (work%right(6*n, 7), work%kept(3, 2*n), work%slope(3, 3, 2*n), source=0.0_wp)
+  end subroutine reserve_newton
 
-  !> Matrix and right side of Newton's step; `size` is the largest difference between an
-  !> impulse and its law, as a velocity.
-  pure subroutine linearise(problem, list, body, work, twist, m, a, b, size)
+  !> Newton's step into the first column of `dense%right`, by position.
+  pure subroutine newton_step(problem, list, body, work, groups, dense, twist, epsilon, ok)
     type(friction_problem_t), intent(in) :: problem
     type(contact_list_t), intent(in) :: list
     type(body_inertia_t), intent(in) :: body
     type(coupled_work_t), intent(in) :: work
+    type(group_work_t), intent(in) :: groups
+    type(newton_work_t), intent(inout) :: dense
+    real(wp), intent(in) :: twist(6), epsilon
+    logical, intent(out) :: ok
+    integer :: g, p, first, last, half
+    do p = 1, list%n
+      call set_row(problem, list, work, twist, groups%order(p), p, size(dense%right, 1), dense%slope(:, :, p), dense%right)
+    end do
+    ok = .true.
+    do g = 1, groups%n_group
+      first = groups%start(g)
+      last = groups%start(g + 1) - 1
+      half = 0
+      do p = first, last
+        half = max(half, p - groups%first(p))
+      end do
+      half = 3*half + 2
+      call fill_band(list, work, groups, dense%slope, first, last, epsilon, half, dense%band)
+      call eliminate_band(3*(last - first + 1), half, merge(7, 1, body%free), dense%band, size(dense%right, 1), 3*(first - 1), &
+                          dense%right, ok)
+      if (.not. ok) return
+    end do
+    if (body%free) call add_body(list, body, groups, size(dense%right, 1), dense%right, ok)
+  end subroutine newton_step
+
+  !> P, law - j and P G of one contact.
+  pure subroutine set_row(problem, list, work, twist, i, p, m, slope, right)
+    type(friction_problem_t), intent(in) :: problem
+    type(contact_list_t), intent(in) :: list
+    type(coupled_work_t), intent(in) :: work
     real(wp), intent(in) :: twist(6)
-    integer, intent(in) :: m
-    real(wp), intent(inout) :: a(m, m), b(m)
-    real(wp), intent(out) :: size
-    real(wp) :: u(3), j(3), n(3), before(3), p(3, 3), w(3, 3), shared
-    integer :: i, k, c, d, i0, k0
-    size = 0.0_wp
-    do i = 1, list%n
-      i0 = 3*(i - 1)
-      if (.not. problem%mass(i) > 0.0_wp .or. .not. work%mobility(i) > 0.0_wp) then
-        do c = 1, 3
-          a(i0 + c, :) = 0.0_wp
-          a(i0 + c, i0 + c) = 1.0_wp
-          b(i0 + c) = 0.0_wp
-        end do
-        cycle
-      end if
+    integer, intent(in) :: i, p, m
+    real(wp), intent(out) :: slope(3, 3)
+    real(wp), intent(inout) :: right(m, 7)
+    real(wp) :: u(3), j(3), n(3), x, y, z
+    integer :: c, row
+    slope = 0.0_wp
+    j = 0.0_wp
+    if (problem%mass(i) > 0.0_wp .and. work%mobility(i) > 0.0_wp) then
       u = present_velocity(problem, list, work, twist, i)
       j = wanted(problem, work, i, u)
       n = [problem%normal(i, 1), problem%normal(i, 2), problem%normal(i, 3)]
       do c = 1, 3
-        before(c) = u(c) - work%mobility(i)*problem%impulse(i, c)
-        b(i0 + c) = j(c) - problem%impulse(i, c)
-        size = max(size, work%mobility(i)*abs(b(i0 + c)))
+        u(c) = u(c) - work%mobility(i)*problem%impulse(i, c)
       end do
-      p = cone_derivative(1.0_wp/work%mobility(i), before, n, problem%rebound(i), problem%friction, problem%push_only)
-      do k = 1, list%n
-        k0 = 3*(k - 1)
-        w = 0.0_wp
-        if (body%free) w = body_mobility(list, body, i, k)
-        shared = shared_mobility(list, i, k)
-        if (k == i) shared = shared - work%mobility(i)
-        do d = 1, 3
-          w(d, d) = w(d, d) + shared
-        end do
-        do d = 1, 3
-          do c = 1, 3
-            a(i0 + c, k0 + d) = p(c, 1)*w(1, d) + p(c, 2)*w(2, d) + p(c, 3)*w(3, d)
-          end do
-        end do
-      end do
-      do c = 1, 3
-        a(i0 + c, i0 + c) = a(i0 + c, i0 + c) + 1.0_wp
-      end do
-    end do
-  end subroutine linearise
-
-  !> G_i H G_k^T: velocity of the body's point at i for an impulse at k.
-  pure function body_mobility(list, body, i, k) result(w)
-    type(contact_list_t), intent(in) :: list
-    type(body_inertia_t), intent(in) :: body
-    integer, intent(in) :: i, k
-    real(wp) :: w(3, 3), q(3, 3), x, y, z
-    integer :: c
-    ! q = I^-1 [r_k], [r] v = r x v.
-    x = list%arm(k, 1)
-    y = list%arm(k, 2)
-    z = list%arm(k, 3)
-    do c = 1, 3
-      q(c, 1) = body%inverse_inertia(c, 2)*z - body%inverse_inertia(c, 3)*y
-      q(c, 2) = body%inverse_inertia(c, 3)*x - body%inverse_inertia(c, 1)*z
-      q(c, 3) = body%inverse_inertia(c, 1)*y - body%inverse_inertia(c, 2)*x
-    end do
-    ! w = 1/m - [r_i] q.
+      slope = cone_derivative(1.0_wp/work%mobility(i), u, n, problem%rebound(i), problem%friction, problem%push_only)
+    end if
     x = list%arm(i, 1)
     y = list%arm(i, 2)
     z = list%arm(i, 3)
     do c = 1, 3
-      w(1, c) = -(y*q(3, c) - z*q(2, c))
-      w(2, c) = -(z*q(1, c) - x*q(3, c))
-      w(3, c) = -(x*q(2, c) - y*q(1, c))
-      w(c, c) = w(c, c) + body%inverse_mass
+      row = 3*(p - 1) + c
+      right(row, 1) = j(c) - problem%impulse(i, c)
+      ! G = [1, -[r]].
+      right(row, 2) = slope(c, 1)
+      right(row, 3) = slope(c, 2)
+      right(row, 4) = slope(c, 3)
+      right(row, 5) = slope(c, 3)*y - slope(c, 2)*z
+      right(row, 6) = slope(c, 1)*z - slope(c, 3)*x
+      right(row, 7) = slope(c, 2)*x - slope(c, 1)*y
     end do
-  end function body_mobility
+  end subroutine set_row
 
-  !> Gaussian elimination with row exchanges; x in `b`.
-  pure subroutine eliminate(m, a, b, ok)
-    integer, intent(in) :: m
-    real(wp), intent(inout) :: a(m, m), b(m)
-    logical, intent(out) :: ok
-    real(wp) :: swap, factor
-    integer :: k, i, c, pivot
-    ok = .true.
-    do k = 1, m
-      pivot = k
-      do i = k + 1, m
-        if (abs(a(i, k)) > abs(a(pivot, k))) pivot = i
+  !> B = 1 + P (A - (1 - epsilon) rho) of one group by diagonals: b(2 half + 1 + row - column, column),
+  !> with room for the rows' exchanges.
+  pure subroutine fill_band(list, work, groups, slope, first, last, epsilon, half, b)
+    type(contact_list_t), intent(in) :: list
+    type(coupled_work_t), intent(in) :: work
+    type(group_work_t), intent(in) :: groups
+    real(wp), intent(in) :: slope(:, :, :), epsilon
+    integer, intent(in) :: first, last, half
+    real(wp), intent(inout) :: b(3*half + 1, *)
+    real(wp) :: shared
+    integer :: p, q, i, k
+    do p = 1, 3*(last - first + 1)
+      b(:, p) = 0.0_wp
+    end do
+    do p = first, last
+      i = groups%order(p)
+      shared = shared_mobility(list, i, i) - (1.0_wp - epsilon)*work%mobility(i)
+      call put(slope(:, :, p), shared, p - first, p - first, half, b)
+      do k = 1, 3
+        b(2*half + 1, 3*(p - first) + k) = b(2*half + 1, 3*(p - first) + k) + 1.0_wp
       end do
-      if (.not. abs(a(pivot, k)) > 1.0e-13_wp) then
+      do q = groups%first(p), p - 1
+        shared = shared_mobility(list, i, groups%order(q))
+        if (.not. shared > 0.0_wp) cycle
+        call put(slope(:, :, p), shared, p - first, q - first, half, b)
+        call put(slope(:, :, q), shared, q - first, p - first, half, b)
+      end do
+    end do
+  end subroutine fill_band
+
+  !> P a into block (p, q) of a band matrix.
+  pure subroutine put(slope, a, p, q, half, b)
+    real(wp), intent(in) :: slope(3, 3), a
+    integer, intent(in) :: p, q, half
+    real(wp), intent(inout) :: b(3*half + 1, *)
+    integer :: c, d, column
+    do d = 1, 3
+      column = 3*q + d
+      do c = 1, 3
+        b(2*half + 1 + 3*p + c - column, column) = slope(c, d)*a
+      end do
+    end do
+  end subroutine put
+
+  !> Gaussian elimination in the band with row exchanges; x in rows `at`+1 on of `right`.
+  pure subroutine eliminate_band(n, half, n_right, b, m, at, right, ok)
+    integer, intent(in) :: n, half, n_right, m, at
+    real(wp), intent(inout) :: b(3*half + 1, n), right(m, 7)
+    logical, intent(out) :: ok
+    real(wp) :: factor(half), swap, pivot_value
+    integer :: k, i, c, pivot, diagonal, below, last
+    ok = .true.
+    diagonal = 2*half + 1
+    do k = 1, n
+      below = min(half, n - k)
+      pivot = 0
+      do i = 1, below
+        if (abs(b(diagonal + i, k)) > abs(b(diagonal + pivot, k))) pivot = i
+      end do
+      pivot_value = b(diagonal + pivot, k)
+      if (.not. abs(pivot_value) > 1.0e-15_wp) then
         ok = .false.
         return
       end if
-      if (pivot /= k) then
-        do c = k, m
-          swap = a(k, c)
-          a(k, c) = a(pivot, c)
-          a(pivot, c) = swap
+      last = min(n, k + 2*half)
+      if (pivot /= 0) then
+        do c = k, last
+          swap = b(diagonal + k - c, c)
+          b(diagonal + k - c, c) = b(diagonal + pivot + k - c, c)
+          b(diagonal + pivot + k - c, c) = swap
         end do
-        swap = b(k)
-        b(k) = b(pivot)
-        b(pivot) = swap
+        do c = 1, n_right
+          swap = right(at + k, c)
+          right(at + k, c) = right(at + k + pivot, c)
+          right(at + k + pivot, c) = swap
+        end do
       end if
-      factor = 1.0_wp/a(k, k)
-      do i = k + 1, m
-        a(i, k) = a(i, k)*factor
-        b(i) = b(i) - a(i, k)*b(k)
+      do i = 1, below
+        factor(i) = b(diagonal + i, k)/pivot_value
       end do
-      do c = k + 1, m
-        factor = a(k, c)
-        if (.not. abs(factor) > 0.0_wp) cycle
-        do i = k + 1, m
-          a(i, c) = a(i, c) - a(i, k)*factor
+      do c = k + 1, last
+        swap = b(diagonal + k - c, c)
+        if (.not. abs(swap) > 0.0_wp) cycle
+        do i = 1, below
+          b(diagonal + i + k - c, c) = b(diagonal + i + k - c, c) - factor(i)*swap
+        end do
+      end do
+      do c = 1, n_right
+        swap = right(at + k, c)
+        do i = 1, below
+          right(at + k + i, c) = right(at + k + i, c) - factor(i)*swap
         end do
       end do
     end do
-    do k = m, 1, -1
-      b(k) = b(k)/a(k, k)
-      do i = 1, k - 1
-        b(i) = b(i) - a(i, k)*b(k)
+    do c = 1, n_right
+      do k = n, 1, -1
+        right(at + k, c) = right(at + k, c)/b(diagonal, k)
+        do i = 1, min(2*half, k - 1)
+          right(at + k - i, c) = right(at + k - i, c) - b(diagonal - i, k)*right(at + k, c)
+        end do
       end do
     end do
-  end subroutine eliminate
+  end subroutine eliminate_band
+
+  !> The body's part: with X = B^-1 P G and d0 = B^-1 (law - j) in `right`, the momentum
+  !> z = G^T d of the step satisfies (1 + G^T X H) z = G^T d0, and d = d0 - X H z.
+  pure subroutine add_body(list, body, groups, m, right, ok)
+    type(contact_list_t), intent(in) :: list
+    type(body_inertia_t), intent(in) :: body
+    type(group_work_t), intent(in) :: groups
+    integer, intent(in) :: m
+    real(wp), intent(inout) :: right(m, 7)
+    logical, intent(out) :: ok
+    real(wp) :: gathered(6, 7), matrix(6, 6), z(6), h(6), r(3)
+    integer :: p, c, row, i
+    gathered = 0.0_wp
+    do p = 1, list%n
+      i = groups%order(p)
+      r = [list%arm(i, 1), list%arm(i, 2), list%arm(i, 3)]
+      row = 3*(p - 1)
+      do c = 1, 7
+        gathered(1, c) = gathered(1, c) + right(row + 1, c)
+        gathered(2, c) = gathered(2, c) + right(row + 2, c)
+        gathered(3, c) = gathered(3, c) + right(row + 3, c)
+        gathered(4, c) = gathered(4, c) + (r(2)*right(row + 3, c) - r(3)*right(row + 2, c))
+        gathered(5, c) = gathered(5, c) + (r(3)*right(row + 1, c) - r(1)*right(row + 3, c))
+        gathered(6, c) = gathered(6, c) + (r(1)*right(row + 2, c) - r(2)*right(row + 1, c))
+      end do
+    end do
+    do c = 1, 3
+      matrix(:, c) = gathered(:, c + 1)*body%inverse_mass
+      matrix(:, c + 3) = gathered(:, 5)*body%inverse_inertia(1, c) + gathered(:, 6)*body%inverse_inertia(2, c) &
+                         + gathered(:, 7)*body%inverse_inertia(3, c)
+    end do
+    do c = 1, 6
+      matrix(c, c) = matrix(c, c) + 1.0_wp
+    end do
+    call solve_general(matrix, gathered(:, 1), z, ok)
+    if (.not. ok) return
+    do c = 1, 3
+      h(c) = body%inverse_mass*z(c)
+      h(c + 3) = body%inverse_inertia(c, 1)*z(4) + body%inverse_inertia(c, 2)*z(5) + body%inverse_inertia(c, 3)*z(6)
+    end do
+    do p = 1, 3*list%n
+      right(p, 1) = right(p, 1) - (right(p, 2)*h(1) + right(p, 3)*h(2) + right(p, 4)*h(3) + right(p, 5)*h(4) &
+                                   + right(p, 6)*h(5) + right(p, 7)*h(6))
+    end do
+  end subroutine add_body
 
   !> Velocities after, and how far each impulse is from its law.
-  pure subroutine measure(problem, list, work, twist, residual)
+  pure subroutine measure(problem, list, work, twist, residual, error)
     type(friction_problem_t), intent(inout) :: problem
     type(contact_list_t), intent(in) :: list
     type(coupled_work_t), intent(in) :: work
     real(wp), intent(in) :: twist(6)
-    real(wp), intent(out) :: residual
-    real(wp) :: u(3), j(3)
+    real(wp), intent(out) :: residual   !! largest [m/s]
+    real(wp), intent(out) :: error      !! sum of their squares
+    real(wp) :: u(3), j(3), off
     integer :: i, c
     residual = 0.0_wp
+    error = 0.0_wp
     do i = 1, list%n
       u = present_velocity(problem, list, work, twist, i)
       do c = 1, 3
@@ -453,7 +599,9 @@ contains
       if (.not. problem%mass(i) > 0.0_wp .or. .not. work%mobility(i) > 0.0_wp) cycle
       j = wanted(problem, work, i, u)
       do c = 1, 3
-        residual = max(residual, work%mobility(i)*abs(j(c) - problem%impulse(i, c)))
+        off = work%mobility(i)*(j(c) - problem%impulse(i, c))
+        residual = max(residual, abs(off))
+        error = error + off*off
       end do
     end do
   end subroutine measure

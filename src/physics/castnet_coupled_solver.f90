@@ -17,7 +17,7 @@ module castnet_coupled_solver
   use castnet_six_by_six, only: factor_symmetric, solve_symmetric
   implicit none
   private
-  public :: group_work_t, reserve_groups, solve_coupled, shares_nodes
+  public :: group_work_t, reserve_groups, solve_coupled, shares_nodes, find_groups, find_envelope
 
   real(wp), parameter :: hair = 1.0e-12_wp          !! on the diagonal of A, of itself [-]
   real(wp), parameter :: wrong_below = 1.0e-13_wp   !! slack below which an idle contact is violated, of the largest need [-]
@@ -180,16 +180,8 @@ contains
     type(contact_list_t), intent(in) :: list
     type(group_work_t), intent(inout) :: work
     integer :: p, i, length
-    length = 0
-    do p = 1, list%n
-      i = work%order(p)
-      work%first(p) = p
-      call reach(work, list%node_a(i), p)
-      if (list%node_b(i) /= list%node_a(i)) call reach(work, list%node_b(i), p)
-      work%row_start(p) = length + 1
-      length = length + p - work%first(p) + 1
-    end do
-    work%row_start(list%n + 1) = length + 1
+    call find_envelope(list, work)
+    length = work%row_start(list%n + 1) - 1
     if (allocated(work%matrix)) then
       if (size(work%matrix) < length) deallocate (work%matrix, work%factor)
     end if
@@ -204,6 +196,23 @@ contains
       end associate
     end do
   end subroutine assemble
+
+  !> First position to which each row's envelope reaches, and where the rows begin.
+  pure subroutine find_envelope(list, work)
+    type(contact_list_t), intent(in) :: list
+    type(group_work_t), intent(inout) :: work
+    integer :: p, i, length
+    length = 0
+    do p = 1, list%n
+      i = work%order(p)
+      work%first(p) = p
+      call reach(work, list%node_a(i), p)
+      if (list%node_b(i) /= list%node_a(i)) call reach(work, list%node_b(i), p)
+      work%row_start(p) = length + 1
+      length = length + p - work%first(p) + 1
+    end do
+    work%row_start(list%n + 1) = length + 1
+  end subroutine find_envelope
 
   pure subroutine reach(work, node, p)
     type(group_work_t), intent(inout) :: work

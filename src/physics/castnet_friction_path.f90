@@ -134,20 +134,18 @@ contains
     case (1)
       axis = order(1)
       base(axis) = base(axis) + 1
+      order = [order(2), order(3), order(4), order(5), order(6), order(7), axis]
       do k = 1, 7
-        if (k < 7) order(k) = order(k + 1)
         label(:, k) = label(:, k + 1)
       end do
-      order(7) = axis
       enter = 8
     case (8)
       axis = order(7)
       base(axis) = base(axis) - 1
+      order = [axis, order(1), order(2), order(3), order(4), order(5), order(6)]
       do k = 8, 2, -1
-        if (k < 8) order(k) = order(k - 1)
         label(:, k) = label(:, k - 1)
       end do
-      order(1) = axis
       enter = 1
     case default
       axis = order(leave)
