@@ -49,7 +49,7 @@ def numba_forces(net):
     k_row, c_row, l_row = row["k"].ravel(), row["c"].ravel(), row["length"].ravel()
     k_col, c_col, l_col = column["k"].ravel(), column["c"].ravel(), column["length"].ravel()
 
-    @numba.njit(fastmath=True, inline="always")
+    @numba.njit(fastmath=True, error_model="numpy", inline="always")
     def cables(m, i0, j0, e0, x, v, k, c, l0, force):
         for i in range(m):
             a, b, e = i0 + i, j0 + i, e0 + i
@@ -62,7 +62,7 @@ def numba_forces(net):
             pull = pull * inverse_length if (stretch > 0.0) & (pull > 0.0) else 0.0
             force[0, i], force[1, i], force[2, i] = pull * dx, pull * dy, pull * dz
 
-    @numba.njit(fastmath=True)
+    @numba.njit(fastmath=True, error_model="numpy")
     def acceleration(x, v, out, force):
         out[:] = 0.0
         for r in range(side):
@@ -104,7 +104,7 @@ def numba_steps(net):
     acceleration = numba_forces(net)
     width = lattice(net) + 8
 
-    @numba.njit(fastmath=True)
+    @numba.njit(fastmath=True, error_model="numpy")
     def stage(x0, v0, v, a, h, x_out, v_out, sum_x, sum_v, weight):
         for d in range(3):
             for i in range(x0.shape[1]):
@@ -113,7 +113,7 @@ def numba_steps(net):
                 x_out[d, i] = x0[d, i] + h * v[d, i]
                 v_out[d, i] = v0[d, i] + h * a[d, i]
 
-    @numba.njit(fastmath=True)
+    @numba.njit(fastmath=True, error_model="numpy")
     def rk4(x, v, h, n):
         xa, va, xb, vb = np.empty_like(x), np.empty_like(x), np.empty_like(x), np.empty_like(x)
         a, sum_x, sum_v = np.empty_like(x), np.empty_like(x), np.empty_like(x)
@@ -133,7 +133,7 @@ def numba_steps(net):
                     x[d, i] += h / 6.0 * (sum_x[d, i] + va[d, i])
                     v[d, i] += h / 6.0 * (sum_v[d, i] + a[d, i])
 
-    @numba.njit(fastmath=True)
+    @numba.njit(fastmath=True, error_model="numpy")
     def midpoint(x, v, h, n):
         a = np.zeros_like(x)
         ahead = v.copy()
@@ -174,14 +174,14 @@ def numba_capture(net, target, step, steps):
     mass, body_mass, inertia = net["mass"], target["mass"], target["inertia"]
     radius, half, threshold = 0.5 * target["diameter"], 0.5 * target["length"], target["threshold"]
 
-    @numba.njit(fastmath=True)
+    @numba.njit(fastmath=True, error_model="numpy")
     def rotation(q):
         w, x, y, z = q
         return np.array(((1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
                          (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
                          (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y))))
 
-    @numba.njit(fastmath=True)
+    @numba.njit(fastmath=True, error_model="numpy")
     def turn(q, w, h):
         """Torque-free: the midpoint rule on Euler's equations and the quaternion."""
         for _ in range(2):
@@ -195,7 +195,7 @@ def numba_capture(net, target, step, steps):
             q[:] = step_q / math.sqrt((step_q * step_q).sum())
             w += 0.5 * h * rate
 
-    @numba.njit(fastmath=True)
+    @numba.njit(fastmath=True, error_model="numpy")
     def distance(p):
         """Signed distance from the cylinder and the outward normal, body axes."""
         n = np.zeros(3)
@@ -211,7 +211,7 @@ def numba_capture(net, target, step, steps):
         n[2] = math.copysign(1.0, p[2])
         return end, n
 
-    @numba.njit(fastmath=True)
+    @numba.njit(fastmath=True, error_model="numpy")
     def capture(x, v, position, velocity, q, w, h, n):
         reach = math.sqrt(radius * radius + half * half) + threshold
         for _ in range(n):
@@ -444,7 +444,8 @@ def mujoco_model(net, step, target=None):
         return " ".join(repr(float(value)) for value in values)
     flags = 'constraint="disable"' if target is None else ""
     text = [f'<mujoco><option timestep="{step!r}" gravity="0 0 0" integrator="Euler" jacobian="sparse">'
-            f'<flag eulerdamp="disable" {flags}/></option><default><geom contype="0" conaffinity="0" condim="1"/></default><worldbody>']
+            f'<flag eulerdamp="disable" {flags}/></option><default><geom contype="0" conaffinity="0" condim="1"/></default>'
+            '<worldbody>']
     sphere = ""
     if target is not None:
         # Springs without loss at the contact surface, stiff enough to stop a bullet within the threshold.
