@@ -40,14 +40,14 @@ def split(net):
 # ---------------------------------------------------------------------------------------- numba
 
 def numba_forces(net):
-    """acceleration(x, v, out) on arrays (3, n): tensions row by row, which LLVM vectorises, then a gather."""
+    """acceleration(x, v, out, force, dampings) on arrays (3, n): tensions row by row, which LLVM vectorises, then a gather."""
     import numba
     side, row, column, corners = split(net)
     ends = np.array([c[:2] for c in corners])
-    corner_k, corner_c, corner_length = (np.array([c[m] for c in corners]) for m in (2, 3, 4))
+    corner_k, corner_length = (np.array([c[m] for c in corners]) for m in (2, 4))
     inverse = 1.0 / net["mass"]
-    k_row, c_row, l_row = row["k"].ravel(), row["c"].ravel(), row["length"].ravel()
-    k_col, c_col, l_col = column["k"].ravel(), column["c"].ravel(), column["length"].ravel()
+    k_row, l_row = row["k"].ravel(), row["length"].ravel()
+    k_col, l_col = column["k"].ravel(), column["length"].ravel()
 
     @numba.njit(fastmath=True, error_model="numpy", inline="always")
     def cables(m, i0, j0, e0, x, v, k, c, l0, force):
@@ -63,7 +63,8 @@ def numba_forces(net):
             force[0, i], force[1, i], force[2, i] = pull * dx, pull * dy, pull * dz
 
     @numba.njit(fastmath=True, error_model="numpy")
-    def acceleration(x, v, out, force):
+    def acceleration(x, v, out, force, dampings):
+        c_row, c_col, corner_c = dampings
         out[:] = 0.0
         for r in range(side):
             a = r * side
@@ -99,8 +100,8 @@ def numba_forces(net):
 def numba_steps(net):
     """rk4 and midpoint of the whole net over n steps, stage updates in one pass each. Compiled once a net."""
     import numba
-    if "numba" in net:
-        return net["numba"]
+    if "numba" in net["compiled"]:
+        return net["compiled"]["numba"]
     acceleration = numba_forces(net)
     width = lattice(net) + 8
 
@@ -114,27 +115,27 @@ def numba_steps(net):
                 v_out[d, i] = v0[d, i] + h * a[d, i]
 
     @numba.njit(fastmath=True, error_model="numpy")
-    def rk4(x, v, h, n):
+    def rk4(x, v, h, n, dampings):
         xa, va, xb, vb = np.empty_like(x), np.empty_like(x), np.empty_like(x), np.empty_like(x)
         a, sum_x, sum_v = np.empty_like(x), np.empty_like(x), np.empty_like(x)
         force = np.empty((3, width))
         for _ in range(n):
             sum_x[:] = 0.0
             sum_v[:] = 0.0
-            acceleration(x, v, a, force)
+            acceleration(x, v, a, force, dampings)
             stage(x, v, v, a, 0.5 * h, xa, va, sum_x, sum_v, 1.0)
-            acceleration(xa, va, a, force)
+            acceleration(xa, va, a, force, dampings)
             stage(x, v, va, a, 0.5 * h, xb, vb, sum_x, sum_v, 2.0)
-            acceleration(xb, vb, a, force)
+            acceleration(xb, vb, a, force, dampings)
             stage(x, v, vb, a, h, xa, va, sum_x, sum_v, 2.0)
-            acceleration(xa, va, a, force)
+            acceleration(xa, va, a, force, dampings)
             for d in range(3):
                 for i in range(x.shape[1]):
                     x[d, i] += h / 6.0 * (sum_x[d, i] + va[d, i])
                     v[d, i] += h / 6.0 * (sum_v[d, i] + a[d, i])
 
     @numba.njit(fastmath=True, error_model="numpy")
-    def midpoint(x, v, h, n):
+    def midpoint(x, v, h, n, dampings):
         a = np.zeros_like(x)
         ahead = v.copy()
         force = np.empty((3, width))
@@ -142,7 +143,7 @@ def numba_steps(net):
             for i in range(x.shape[1]):
                 x[d, i] += 0.5 * h * v[d, i]
         for _ in range(n):
-            acceleration(x, ahead, a, force)
+            acceleration(x, ahead, a, force, dampings)
             for d in range(3):
                 for i in range(x.shape[1]):
                     v[d, i] += h * a[d, i]
@@ -151,19 +152,24 @@ def numba_steps(net):
         for d in range(3):
             for i in range(x.shape[1]):
                 x[d, i] -= 0.5 * h * v[d, i]
-    net["numba"] = rk4, midpoint
+    net["compiled"]["numba"] = rk4, midpoint
     return rk4, midpoint
+
+
+def numba_dampings(net):
+    _, row, column, corners = split(net)
+    return row["c"].ravel(), column["c"].ravel(), np.array([corner[3] for corner in corners])
 
 
 def numba_run(net, method, step, steps):
     rk4, midpoint = numba_steps(net)
-    fly = rk4 if method == "rk4" else midpoint
+    fly, dampings = rk4 if method == "rk4" else midpoint, numba_dampings(net)
 
     def run(count=steps):
         x, v = np.ascontiguousarray(net["x"].T), np.ascontiguousarray(net["v"].T)
-        fly(x, v, step, count)
+        fly(x, v, step, count, dampings)
         return x.T
-    fly(np.ascontiguousarray(net["x"].T), np.ascontiguousarray(net["v"].T), step, 1)
+    fly(np.ascontiguousarray(net["x"].T), np.ascontiguousarray(net["v"].T), step, 1, dampings)
     return run
 
 
@@ -171,6 +177,7 @@ def numba_capture(net, target, step, steps):
     """rk4 with a rigid cylinder, elastic impulses node by node, and positions pushed out: a script as one writes it."""
     import numba
     rk4, _ = numba_steps(net)
+    dampings = numba_dampings(net)
     mass, body_mass, inertia = net["mass"], target["mass"], target["inertia"]
     radius, half, threshold = 0.5 * target["diameter"], 0.5 * target["length"], target["threshold"]
 
@@ -212,10 +219,10 @@ def numba_capture(net, target, step, steps):
         return end, n
 
     @numba.njit(fastmath=True, error_model="numpy")
-    def capture(x, v, position, velocity, q, w, h, n):
+    def capture(x, v, position, velocity, q, w, h, n, dampings):
         reach = math.sqrt(radius * radius + half * half) + threshold
         for _ in range(n):
-            rk4(x, v, h, 1)
+            rk4(x, v, h, 1, dampings)
             position += h * velocity
             turn(q, w, h)
             r = rotation(q)
@@ -245,11 +252,11 @@ def numba_capture(net, target, step, steps):
         x, v = np.ascontiguousarray(net["x"].T), np.ascontiguousarray(net["v"].T)
         position, velocity = np.array(target["position"], float), np.zeros(3)
         q, w = np.array((1.0, 0.0, 0.0, 0.0)), np.array(target["rate"], float)
-        capture(x, v, position, velocity, q, w, step, steps)
+        capture(x, v, position, velocity, q, w, step, steps, dampings)
         return x.T, velocity
     x, v = np.ascontiguousarray(net["x"].T), np.ascontiguousarray(net["v"].T)
     capture(x, v, np.array(target["position"], float), np.zeros(3), np.array((1.0, 0.0, 0.0, 0.0)),
-            np.array(target["rate"], float), step, 1)
+            np.array(target["rate"], float), step, 1, dampings)
     return run
 
 
