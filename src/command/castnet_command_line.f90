@@ -54,7 +54,7 @@ module castnet_command_line
     option_t('output', 'FILE', 'run study collect accuracy', 'HDF5 file of the results'), &
     option_t('restart', 'FILE', 'run', 'go on from a checkpoint'), &
     option_t('threads', 'N', 'run check study accuracy', 'threads to use'), &
-    option_t('set', 'group/key=value', 'run check study accuracy', 'override a value of the scene; may be repeated'), &
+    option_t('set', 'group/key=value', 'run check study collect accuracy', 'override a value of the scene; may be repeated'), &
     option_t('max-wall', 'HH:MM:SS', 'run study', 'stop, resumable, after this wall time'), &
     option_t('shard', 'K/N', 'study', 'run the K-th of N parts of a study'), &
     option_t('timings', '', 'run study accuracy', 'tell where the time went'), &

@@ -81,9 +81,16 @@ contains
   subroutine split(text, entries)
     character(len=*), intent(in) :: text
     type(entry_t), allocatable, intent(out) :: entries(:)
+    type(entry_t), allocatable :: found(:)
     character(len=:), allocatable :: line, group
-    integer :: start, length, equals, n, i
-    allocate (entries(0))
+    integer :: start, length, equals, n, n_found, i
+    ! At most an entry a line.
+    n_found = 1
+    do i = 1, len(text)
+      if (text(i:i) == new_line('a')) n_found = n_found + 1
+    end do
+    allocate (found(n_found))
+    n_found = 0
     group = ''
     start = 1
     do while (start <= len(text))
@@ -97,18 +104,33 @@ contains
       if (line(1:1) == '&') then
         group = trim(line(2:))
         n = 1
-        do i = 1, size(entries)
-          if (entries(i)%key == group .or. index(entries(i)%key, group//'(') == 1 .and. &
-              index(entries(i)%key, '/') == 0) n = n + 1
+        do i = 1, n_found
+          if (found(i)%key == group .or. index(found(i)%key, group//'(') == 1 .and. index(found(i)%key, '/') == 0) n = n + 1
         end do
         if (n > 1) group = group//'('//to_text(n)//')'
-        entries = [entries, entry_t(group, 'given')]
+        call add(group, 'given')
       else if (equals > 0 .and. line(1:1) /= "'") then
-        entries = [entries, entry_t(group//'/'//trim(line(1:equals - 1)), trim(adjustl(line(equals + 1:))))]
-      else if (size(entries) > 0) then
-        entries(size(entries))%value = entries(size(entries))%value//' '//line
+        call add(group//'/'//trim(line(1:equals - 1)), trim(adjustl(line(equals + 1:))))
+      else if (n_found > 0) then
+        found(n_found)%value = found(n_found)%value//' '//line
       end if
     end do
+    allocate (entries(n_found))
+    do i = 1, n_found
+      call move_alloc(found(i)%key, entries(i)%key)
+      call move_alloc(found(i)%value, entries(i)%value)
+    end do
+
+  contains
+
+    ! Component by component: gfortran 12 loses the texts of a structure constructor.
+    subroutine add(key, value)
+      character(len=*), intent(in) :: key, value
+      n_found = n_found + 1
+      found(n_found)%key = key
+      found(n_found)%value = value
+    end subroutine add
+
   end subroutine split
 
 end module castnet_restart_check

@@ -255,7 +255,9 @@ contains
     number = remove_file(path//'.tmp')
     number = create_file(path//'.tmp', bytes(:used))
     if (number == 0) number = rename_file(path//'.tmp', path)
-    if (number /= 0) call file_failure(error, number, 'cannot write', path, 'check the folder and run castnet collect')
+    if (number == 0) return
+    call file_failure(error, number, 'cannot write', path, 'check the folder and run castnet collect')
+    number = remove_file(path//'.tmp')
 
   contains
 
