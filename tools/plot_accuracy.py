@@ -55,7 +55,8 @@ def main():
             axis.set(xscale="log", yscale="log", title=NAMES[name], xlabel="processor time of a run, s",
                      ylabel="error at the end" + ("" if unit == "1" else ", " + unit))
             axis.grid(alpha=0.25)
-        axes.flat[0].legend(fontsize="small")
+        handles, labels = axes.flat[0].get_legend_handles_labels()
+        figure.legend(handles, labels, fontsize="small", ncols=len(labels), loc="outside lower center")
         figure.savefig(output, dpi=150)
     print(output)
 

@@ -22,12 +22,13 @@ module castnet_accuracy
   use castnet_text, only: to_text
   implicit none
   private
-  public :: accuracy_t, setting_t, setting_words, is_below, measure_accuracy, observable_name, observable_unit, n_observable
+  public :: accuracy_t, setting_t, setting_words, short, is_below, measure_accuracy, observable_name, observable_unit, n_observable
 
   integer, parameter :: n_look = 200       !! equal times at which runs are compared; every step divides them
   integer, parameter :: members = 12       !! a mean's error is then 0.4 of the spread
   integer, parameter :: n_halving(2) = [5, 4]       !! steps of rk4 and midpoint: 0.7 of the limit, halved
-  real(wp), parameter :: tolerances(3) = [1.0e-4_wp, 1.0e-6_wp, 1.0e-8_wp] !! of adaptive, at 0.7 of the limit
+  real(wp), parameter :: tolerances(3) = [1.0e-4_wp, 1.0e-6_wp, 1.0e-8_wp] !! of adaptive, with its automatic step
+  real(wp), parameter :: safe = 0.7_wp              !! of the limit
   integer, parameter :: reference_halvings = 6
   real(wp), parameter :: nudge = 1.0e-6_wp          !! of every node in the ensembles, unless the scene perturbs [m]
   real(wp), parameter :: tiny_nudge = 1.0e-12_wp    !! whose growth gives the horizon [m]
@@ -91,7 +92,7 @@ contains
     type(error_t), allocatable, intent(inout) :: error
     type(file_net_t), allocatable :: file_net
     type(flight_t), allocatable :: reference(:), flights(:)
-    real(wp) :: limit(2)
+    real(wp) :: limit(2), longest
     integer :: m, k, s
 
     if (.not. allocated(scene%net)) then
@@ -101,9 +102,11 @@ contains
     call load_scene_net(scene, file_net, error)
     if (allocated(error)) return
     do m = 1, 2
-      limit(m) = method_limit(scene, file_net, method_name(m), error)
+      call method_limit(scene, file_net, method_name(m), limit(m), longest, error)
       if (allocated(error)) return
     end do
+    call method_limit(scene, file_net, 'adaptive', limit(1), longest, error)
+    if (allocated(error)) return
     do k = 1, n_look
       result%time(k) = scene%time%end_time*k/n_look
     end do
@@ -116,7 +119,8 @@ contains
       end do
     end do
     do k = 1, size(tolerances)
-      result%settings(s + k) = new_setting(scene, 'adaptive', limit(1), 0)
+      result%settings(s + k) = new_setting(scene, 'adaptive', longest/safe, 0)
+      result%settings(s + k)%of_limit = result%settings(s + k)%step/limit(1)
       result%settings(s + k)%tolerance = tolerances(k)
     end do
     result%reference = new_setting(scene, method_name(1), limit(1), reference_halvings)
@@ -124,7 +128,7 @@ contains
     call fly_members(scene, file_net, result%reference, n_thread, reference)
     call move_first_error(reference, error)
     if (allocated(error)) return
-    call log_progress(log, 0.5_wp, 'reference at '//to_text(result%reference%step)//' s')
+    call log_progress(log, 0.5_wp, 'reference at '//short(result%reference%step)//' s')
     call grow_nudge(scene, file_net, result)
     call take_floor(reference, result)
     do s = 1, size(result%settings)
@@ -147,9 +151,20 @@ contains
   function setting_words(setting) result(words)
     type(setting_t), intent(in) :: setting
     character(len=:), allocatable :: words
-    words = trim(setting%method)//' at '//to_text(setting%step)//' s'
-    if (setting%tolerance > 0.0_wp) words = words//' and a tolerance of '//to_text(setting%tolerance)
+    words = trim(setting%method)//' at '//short(setting%step)//' s'
+    if (setting%tolerance > 0.0_wp) words = words//' and a tolerance of '//short(setting%tolerance)
   end function setting_words
+
+  !> A number to three digits.
+  function short(value) result(words)
+    real(wp), intent(in) :: value
+    character(len=:), allocatable :: words
+    character(len=16) :: buffer
+    real(wp) :: rounded
+    write (buffer, '(es12.2)') value
+    read (buffer, *) rounded
+    words = to_text(rounded)
+  end function short
 
   pure function method_name(m) result(name)
     integer, intent(in) :: m
@@ -157,11 +172,12 @@ contains
     name = merge('rk4     ', 'midpoint', m == 1)
   end function method_name
 
-  !> The stability limit of a method on this scene [s].
-  real(wp) function method_limit(scene, file_net, method, error) result(limit)
+  !> The stability limit of a method on this scene, and the step that it would choose.
+  subroutine method_limit(scene, file_net, method, limit, step, error)
     type(scene_t), intent(in) :: scene
     type(file_net_t), allocatable, intent(in) :: file_net
     character(len=*), intent(in) :: method
+    real(wp), intent(out) :: limit, step   !! [s]
     type(error_t), allocatable, intent(inout) :: error
     type(scene_t) :: changed
     type(file_net_t), allocatable :: net
@@ -171,9 +187,12 @@ contains
     changed%time%step = 0.0_wp
     if (allocated(file_net)) net = file_net
     limit = 0.0_wp
+    step = 0.0_wp
     call start(sim, changed, 1, net, error)
-    if (.not. allocated(error)) limit = min(sim%report%stable_limit, scene%time%end_time/10)
-  end function method_limit
+    if (allocated(error)) return
+    limit = min(sim%report%stable_limit, scene%time%end_time/10)
+    step = min(sim%report%step, safe*limit)
+  end subroutine method_limit
 
   !> 0.7 of the limit, halved; a whole number of steps between two looks.
   function new_setting(scene, method, limit, halvings) result(setting)
@@ -185,7 +204,7 @@ contains
     real(wp) :: between
     setting%method = method
     between = scene%time%end_time/n_look
-    setting%step = between/ceiling(between*2.0_wp**halvings/(0.7_wp*limit))
+    setting%step = between/ceiling(between*2.0_wp**halvings/(safe*limit))
     setting%of_limit = setting%step/limit
   end function new_setting
 

@@ -1,7 +1,7 @@
 !> What `castnet accuracy` found, as HDF5 for xarray and CSV for everyone.
 module castnet_accuracy_table
   use castnet_kinds, only: wp
-  use castnet_accuracy, only: accuracy_t, setting_words, is_below, observable_name, observable_unit, n_observable
+  use castnet_accuracy, only: accuracy_t, setting_words, short, is_below, observable_name, observable_unit, n_observable
   use castnet_error, only: error_t
   use castnet_hdf5_file, only: hdf5_file_t, create_hdf5, close_file, write_array, write_value, write_text, set_attribute, &
                                make_scale, attach_scales
@@ -119,15 +119,15 @@ contains
     character(len=:), allocatable :: sentence
     if (result%cheapest == 0) then
       sentence = 'No setting stays below the noise floor of '//to_text(result%n_member)// &
-                 ' perturbed references (rk4 at '//to_text(result%reference%step)//' s) in every observable.'
+                 ' perturbed references (rk4 at '//short(result%reference%step)//' s) in every observable.'
       return
     end if
     associate (best => result%settings(result%cheapest))
       sentence = 'The cheapest setting whose error is below the noise floor is '//setting_words(best)//': '// &
-                 to_text(best%seconds)//' s of processor time a run, '// &
-                 to_text(best%evaluations)//' force evaluations, against '//to_text(result%reference%seconds)// &
-                 ' s of the reference, rk4 at '//to_text(result%reference%step)//' s; single runs converge up to '// &
-                 to_text(result%horizon)//' s, after that only ensembles do.'
+                 short(best%seconds)//' s of processor time a run, '// &
+                 to_text(best%evaluations)//' force evaluations, against '//short(result%reference%seconds)// &
+                 ' s of the reference, rk4 at '//short(result%reference%step)//' s; single runs converge up to '// &
+                 short(result%horizon)//' s, after that only ensembles do.'
     end associate
   end function accuracy_sentence
 
