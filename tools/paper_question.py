@@ -93,6 +93,7 @@ def figure(body: str, results: dict[tuple[str, str], Result]):
     """Curves above, a map of rate against phase below for each kind that has one."""
     cases, kinds = BODIES[body]
     maps = [kind for kind in kinds if kind != "named"]
+    plt.rcParams["axes.grid"] = False
     fig, axes = plt.subplots(1 + len(maps), len(cases), figsize=(3.1 * len(cases) + 0.9, 2.9 + 2.6 * len(maps)),
                              constrained_layout=True, squeeze=False)
     for column, case in enumerate(cases):
@@ -108,6 +109,7 @@ def figure(body: str, results: dict[tuple[str, str], Result]):
             axes[row, column].set_ylabel("phase at the start, degrees" if column == 0 else "")
         for row in range(1 + len(maps)):
             axes[row, column].set_xlim(r_edges(results["phase", case].rate))
+            axes[row, column].set_yticks(range(0, 180, 30) if case != "D" else range(0, 90, 15)) if row else None
         axes[-1, column].set_xlabel("rate, rad/s")
         if column:
             axes[0, column].set_ylabel("")

@@ -45,6 +45,8 @@ class Study:
         with h5py.File(path) as f:
             self.case, self.point, self.search = (
                 {k: v[()] for k, v in f[g].items()} if g in f else {} for g in ("case", "point", "search"))
+            if "status" not in self.case:
+                raise SystemExit(f"{path} has no finished case")
             self.keys = [(k, text(v.attrs["key"])) for k, v in f["case"].items() if "key" in v.attrs]
             others = [k for k, v in f["search"].items() if "key" in v.attrs] if self.search else []
             self.searched = next((key for key in self.keys if self.search and key[0] not in others), None)
@@ -253,8 +255,6 @@ def main():
     parser.add_argument("-o", "--output")
     a = parser.parse_args()
     study = Study(a.study)
-    if "captured" not in study.case:
-        raise SystemExit(f"{a.study} has no finished case")
     out = a.output or str(Path(a.study).with_suffix(".png"))
     draw(study).savefig(out, dpi=130)
     print(out)

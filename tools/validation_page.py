@@ -320,7 +320,7 @@ half do. Where the paper gives no number, the expectation is that of an independ
 
 The paper names tumbling axes but no attitudes. A: long axis across the approach, spin about the approach; B: long axis across, end over end;
 C: long axis along the approach, spin across it. All were tried; the paper's outcomes are those of C (cubesat), B (rocket, "x axis")
-and A (rocket, "z axis").
+and A (rocket, "z axis"). How likely a capture is over all rates and attitudes: [`capture_probability.md`](capture_probability.md).
 
 castnet {version}. {runs} runs.
 """
