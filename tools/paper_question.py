@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import resource
 import subprocess
 import sys
@@ -39,6 +40,12 @@ BODIES = {
     "cubesat": ("ABCD", {"named": "cubesat_case_{}", "phase": "cubesat_case_{}_phase"}),
     "rocket": ("ABC", {"named": "rocket_case_{}", "phase": "rocket_case_{}_phase", "closing": "rocket_closing_case_{}_phase"}),
 }
+#: What the paper saw, one run each: body, case, rate in rad/s, its words.
+PAPER = [
+    ("cubesat", "C", 0.0, "caught"), ("cubesat", "C", 1.0, "caught"), ("cubesat", "C", 1.5, "caught"), ("cubesat", "C", 2.0, "not caught"),
+    ("rocket", "B", 0.1, "caught"), ("rocket", "B", 0.4, "caught"), ("rocket", "B", 0.7, "slips out"),
+    ("rocket", "A", 0.1, "caught"), ("rocket", "A", 0.4, "caught"), ("rocket", "A", 0.7, "the arms do not cross"),
+]
 GREEN = "#2e8b57"
 WORDS = {"named": "as named", "phase": "any phase", "closing": "any phase, with closing"}
 COLOURS = {"named": RED, "phase": BLUE, "closing": GREEN}
@@ -71,11 +78,19 @@ def run_study(castnet: str, name: str, folder: Path, threads: int | None, fresh:
     print(f"{name}: {times[name]['processor']:.0f} s of processor time", file=sys.stderr, flush=True)
 
 
+def planned_runs(study: str) -> int:
+    """Runs of a grid, from the study's text."""
+    words = re.sub(r"!.*", "", study)
+    number = lambda key: [int(n) for n in re.findall(rf"\b{key}\s*=\s*(\d+)", words)]  # noqa: E731
+    return int(np.prod(number("count") + number("seeds")))
+
+
 class Result:
     """A study by rate, and by rate and phase."""
 
     def __init__(self, path: Path):
         study = Study(path)
+        self.planned = planned_runs(study.text)
         point = study.point
         self.rate_key = next(k for k, name in study.keys if "angular_velocity" in name)
         self.phase_key = next((k for k, name in study.keys if name == "target/phase"), None)
@@ -85,7 +100,7 @@ class Result:
         here = [point[self.rate_key] == rate for rate in self.rate]
         self.n = np.array([point["runs"][h].sum() for h in here])
         self.hits = np.array([point["captured"][h].sum() for h in here])
-        self.p = self.hits / np.maximum(1, self.n)
+        self.p = np.where(self.n > 0, self.hits / np.maximum(1, self.n), np.nan)
         self.lower, self.upper = wilson(self.hits, self.n)
 
 
@@ -141,6 +156,26 @@ def cell(r: Result, i: int) -> str:
     return f"{r.hits[i]} of {r.n[i]}: {r.p[i]:.2f} ({r.lower[i]:.2f} to {r.upper[i]:.2f})"
 
 
+def unfinished(results) -> str:
+    """Says so where a study has not been run to its end."""
+    lacking = [f"{BODIES[body][1][kind].format(case)} {r.runs + r.failed} of {r.planned}" for body in results
+               for (kind, case), r in results[body].items() if r.runs + r.failed < r.planned]
+    return f"\nNot run to their end, so that intervals are wider than they would be: {', '.join(lacking)} runs." if lacking else ""
+
+
+def beside_the_paper(results) -> list[str]:
+    """The paper's outcomes, and how probable a capture is in the same attitude and over all phases."""
+    lines = ["| body, case | rad/s | the paper | captured, as named | captured, any phase |", "|---|---|---|---|---|"]
+    for body, case, rate, words in PAPER:
+        cells = []
+        for kind in ("named", "phase"):
+            r = results[body][kind, case]
+            i = int(np.argmin(np.abs(r.rate - rate)))
+            cells.append(cell(r, i) if abs(r.rate[i] - rate) < 1e-6 else "rate not run")
+        lines.append(f"| {body}, {case} | {rate:.3g} | {words} | {cells[0]} | {cells[1]} |")
+    return lines + [""]
+
+
 def threshold(r: Result) -> str:
     """Between which rates of the grid the estimate falls below a half for the first time, and whether it comes back."""
     low = r.p < 0.5
@@ -168,13 +203,14 @@ The paper names no attitudes. These are the cases of [`validation.md`](validatio
 *As named*: the body starts in the case's attitude, so that the rate also decides how it is turned when the net arrives; 16 runs
 a rate. *Any phase*: it starts turned about its spin axis by each of some equally spaced phases, over the angle after which it
 looks the same again; the curve counts all of them together, which is the answer for an attitude that nobody knows, and the
-map below shows each. Runs of one point differ by a micrometre (standard deviation) in the nodes' start. Bands and brackets
+map below shows each. B and C are the same tumbling a quarter turn apart: over all phases they are one question, asked
+twice with other seeds. Runs of one point differ by a micrometre (standard deviation) in the nodes' start. Bands and brackets
 are 95 % intervals (Wilson); cells of a map are hatched where the interval holds 0.5. *Captured*: at the first verdict time
 (cubesat 3 s, rocket 10 s) coverage >= 0.9, largest hole <= 30 degrees and no direction of escape, and at the rocket's second
 (12.5 s, with closing 13 s) coverage >= 0.8 and no escape. Method: midpoint with the step chosen for it (`step = 0`), not the
 paper's; contact at the nodes, restitution 1, no friction; closing as in `input/rocket_closing_x_1.1.nml`.
 
-castnet {version}, commit {commit}. {runs} runs{failed}, {processor} of processor time.
+castnet {version}, commit {commit}. {runs} runs{failed}, {processor} of processor time.{unfinished}
 """
 
 
@@ -182,11 +218,12 @@ def page(results, times, castnet: str, figures: list[str]) -> str:
     runs = sum(r.runs for body in results.values() for r in body.values())
     failed = sum(r.failed for body in results.values() for r in body.values())
     spent = sum(times.get(name, {}).get("processor", 0.0) for name in names())
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False)
+    commit = subprocess.run(["git", "log", "-1", "--format=%h", "--", "src", "app", "fpm.rsp"], cwd=ROOT, capture_output=True, text=True, check=False)
     version = version_of(castnet).split(",")[0]
     lines = [PAGE.format(cases="\n".join(f"- **{c}**: {words}" for c, words in CASES.items()), version=version,
                          commit=commit.stdout.strip() or "unknown", runs=runs,
-                         failed=f", {failed} more not run to the end" if failed else "", processor=duration(spent))]
+                         unfinished=unfinished(results), failed=f", {failed} more not run to the end" if failed else "", processor=duration(spent))]
+    lines += ["## Beside the paper's single runs", "", *beside_the_paper(results)]
     for body, (cases, kinds) in BODIES.items():
         found = results[body]
         lines += [f"## The {'cubesat' if body == 'cubesat' else 'rocket stage'}", "", f"![{figures[body][1]}](figures/{figures[body][0]})", ""]

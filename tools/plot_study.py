@@ -50,6 +50,7 @@ class Study:
             self.keys = [(k, text(v.attrs["key"])) for k, v in f["case"].items() if "key" in v.attrs]
             others = [k for k, v in f["search"].items() if "key" in v.attrs] if self.search else []
             self.searched = next((key for key in self.keys if self.search and key[0] not in others), None)
+            self.text = text(f["meta/study"][()]) if "meta/study" in f else ""
             answer = f["meta/answer"][()] if "meta/answer" in f else ""
         self.answer = text(answer)
         self.done = self.case["status"] == 0

@@ -94,10 +94,10 @@ def check_searches(folder):
           "&vary key = 'contact/restitution' values = 1.0, 0.5 /\n"
           "&vary key = 'target/position(2)' distribution = 'uniform' from = -0.05 to = 0.05 /\n"
           "&search key = 'net/mesh_length' from = 0.05 to = 0.25 probability = 0.3 budget = 60 /\n")
-    r = run(folder, "study", "search.nml", "--output", "whole.h5")
+    r = run(folder, "study", "search.nml", "--output", "search_whole.h5")
     check(r.returncode == 0, "two searches end with 0 " + r.stderr[-200:])
-    whole = table(os.path.join(folder, "whole.h5"))
-    with h5py.File(os.path.join(folder, "whole.h5")) as f:
+    whole = table(os.path.join(folder, "search_whole.h5"))
+    with h5py.File(os.path.join(folder, "search_whole.h5")) as f:
         search = {k: v[()] for k, v in f["search"].items()}
     e, point = whole["case/contact.restitution"], whole["case/point"]
     check(search["contact.restitution"].tolist() == [1.0, 0.5] and (e == 1.0).any() and (e == 0.5).any(),
@@ -206,6 +206,21 @@ def check_clusters(folder):
     check(r.returncode != 0 and "did you mean seed" in r.stderr, "and a shard that fails fails the script")
 
 
+def check_pictures(folder):
+    """plot_study.py draws each kind of study: a curve, a map, a search, many keys."""
+    write(folder, "design.nml", "&study scene = 'scene.nml' seed = 5 /\n&sample kind = 'sobol' points = 32 /\n"
+          "&vary key = 'target/angular_velocity(2)' from = 0 to = 3 /\n&vary key = 'bullets/speed' from = 1.5 to = 2.5 /\n"
+          "&vary key = 'target/position(1)' from = 0.3 to = 0.6 /\n")
+    run(folder, "study", "design.nml")
+    write(folder, "line.nml", "&study scene = 'scene.nml' seed = 5 seeds = 6 /\n&vary key = 'bullets/speed' from = 1.5 to = 2.5 count = 3 /\n")
+    run(folder, "study", "line.nml")
+    tool = os.path.join(os.path.dirname(INPUT), "tools", "plot_study.py")
+    for name, words in (("line", "a curve"), ("one", "a map"), ("search_whole", "a search"), ("design", "a ranking")):
+        picture = os.path.join(folder, name + ".png")
+        r = subprocess.run([sys.executable, tool, os.path.join(folder, name + ".h5"), "-o", picture], capture_output=True, text=True)
+        check(r.returncode == 0 and os.path.getsize(picture) > 10000, "plot_study.py draws " + words + " " + r.stderr[-300:])
+
+
 def main():
     folder = tempfile.mkdtemp(prefix="castnet_study_")
     write(folder, "scene.nml", SCENE)
@@ -292,6 +307,7 @@ def main():
     check_runs(folder)
     check_races(folder)
     check_clusters(folder)
+    check_pictures(folder)
 
     # Another study on the same journal is refused.
     write(folder, "s.nml", STUDY.format(seeds=5))
