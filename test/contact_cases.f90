@@ -11,7 +11,8 @@ module contact_cases
   implicit none
   private
   public :: new_case, add_cables, set_body, momentum, angular_momentum, kinetic_energy, elastic_energy, centre_of_mass
-  public :: random_t, uniform, uniform_point, normal_draw, random_quaternion, random_direction, random_contacts
+  public :: random_t, uniform, uniform_point, normal_draw, random_quaternion, random_direction, random_contacts, &
+            random_cable_contacts
 
   !> A small generator of the tests' own: xorshift, the same everywhere.
   type :: random_t
@@ -238,5 +239,35 @@ contains
       list%friction_impulse(i, :) = 0.0_wp
     end do
   end subroutine random_contacts
+
+  !> Contacts at random points of random cables between n_node nodes, so that many share nodes.
+  subroutine random_cable_contacts(random, n, n_node, mass, list, body)
+    type(random_t), intent(inout) :: random
+    integer, intent(in) :: n, n_node
+    real(wp), intent(in) :: mass
+    type(contact_list_t), intent(inout) :: list
+    type(body_inertia_t), intent(out) :: body
+    real(wp) :: w(n_node), flat(3)
+    integer :: i
+    call random_contacts(random, n, mass, 0.0_wp, list, body)
+    do i = 1, n_node
+      w(i) = 10.0_wp**(uniform(random) - 0.5_wp)/mass
+    end do
+    flat = random_direction(random)
+    do i = 1, n
+      list%node_a(i) = 1 + int(n_node*uniform(random))
+      list%node_b(i) = 1 + int(n_node*uniform(random))
+      list%share(i) = uniform(random)
+      if (mod(i, 4) == 0) list%node_b(i) = list%node_a(i)
+      if (list%node_b(i) == list%node_a(i)) list%share(i) = 0.0_wp
+      list%weight_a(i) = 1.0_wp - list%share(i)
+      list%inverse_mass_a(i) = w(list%node_a(i))
+      list%inverse_mass_b(i) = merge(0.0_wp, w(list%node_b(i)), list%node_b(i) == list%node_a(i))
+      ! Normals within a cone: a net on one side of a body, where all can be lifted at once.
+      list%normal(i, :) = flat + 0.5_wp*random_direction(random)
+      list%normal(i, :) = list%normal(i, :)/sqrt(sum(list%normal(i, :)**2))
+      list%normal_velocity(i) = sum(list%velocity(i, :)*list%normal(i, :))
+    end do
+  end subroutine random_cable_contacts
 
 end module contact_cases

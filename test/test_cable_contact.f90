@@ -11,7 +11,7 @@ module test_cable_contact
   use castnet_stepper, only: work_t
   use contact_cases, only: new_case, add_cables, set_body, momentum, angular_momentum, kinetic_energy, elastic_energy, &
                            centre_of_mass, random_t, uniform, normal_draw, random_direction, random_quaternion, &
-                           random_contacts
+                           random_contacts, random_cable_contacts
   use scenes, only: net_of, ready, fly
   use testing, only: test_case, expect, expect_close, expect_equal, note
   implicit none
@@ -30,36 +30,6 @@ contains
     call test_case('cables: the edge of a box rides on a cable', edge)
     call test_case('cables: zero-length and duplicate cables do no harm', odd_cables)
   end subroutine run_test_cable_contact
-
-  !> Contacts at random points of random cables between n_node nodes, so that many share nodes.
-  subroutine random_cable_contacts(random, n, n_node, mass, list, body)
-    type(random_t), intent(inout) :: random
-    integer, intent(in) :: n, n_node
-    real(wp), intent(in) :: mass
-    type(contact_list_t), intent(inout) :: list
-    type(body_inertia_t), intent(out) :: body
-    real(wp) :: w(n_node), flat(3)
-    integer :: i
-    call random_contacts(random, n, mass, 0.0_wp, list, body)
-    do i = 1, n_node
-      w(i) = 10.0_wp**(uniform(random) - 0.5_wp)/mass
-    end do
-    flat = random_direction(random)
-    do i = 1, n
-      list%node_a(i) = 1 + int(n_node*uniform(random))
-      list%node_b(i) = 1 + int(n_node*uniform(random))
-      list%share(i) = uniform(random)
-      if (mod(i, 4) == 0) list%node_b(i) = list%node_a(i)
-      if (list%node_b(i) == list%node_a(i)) list%share(i) = 0.0_wp
-      list%weight_a(i) = 1.0_wp - list%share(i)
-      list%inverse_mass_a(i) = w(list%node_a(i))
-      list%inverse_mass_b(i) = merge(0.0_wp, w(list%node_b(i)), list%node_b(i) == list%node_a(i))
-      ! Normals within a cone: a net on one side of a body, where all can be lifted at once.
-      list%normal(i, :) = flat + 0.5_wp*random_direction(random)
-      list%normal(i, :) = list%normal(i, :)/sqrt(sum(list%normal(i, :)**2))
-      list%normal_velocity(i) = sum(list%velocity(i, :)*list%normal(i, :))
-    end do
-  end subroutine random_cable_contacts
 
   subroutine coupled_against_dense()
     type(contact_list_t) :: list

@@ -23,6 +23,7 @@ contains
     call test_case('friction: events at which Newton''s method finds no zero', hard_events)
     call test_case('friction: Kane''s paradox, a single contact on a slender body', kane)
     call test_case('friction: a node on an incline sticks and slips at the right angle', incline)
+    call test_case('friction: a block on an incline sticks and slips at the right angle', block_on_slope)
     call test_case('friction: a spinning body is braked by a net at rest', brake)
     call test_case('friction: without friction nothing changes', none_is_none)
   end subroutine run_test_friction
@@ -247,6 +248,44 @@ contains
       k = trial
     end do
   end subroutine incline
+
+  !> The body itself: a block on four nodes held fast, of which the loads of only three follow
+  !> from statics. Whatever they are, it slides with g (sin - mu cos) and does not turn.
+  subroutine block_on_slope()
+    real(wp), parameter :: mu = 0.5_wp, g = 9.81_wp, h = 1.0e-3_wp, parts(4) = [0.5_wp, 0.999_wp, 1.001_wp, 1.2_wp]
+    real(wp), parameter :: x(4) = [-0.3_wp, -0.3_wp, 0.3_wp, 0.3_wp], y(4) = [-0.3_wp, 0.3_wp, -0.3_wp, 0.3_wp]
+    type(model_t) :: model
+    type(state_t) :: state
+    type(contact_work_t) :: work
+    type(error_t), allocatable :: error
+    real(wp) :: angle, exact
+    integer :: s, trial
+    do trial = 1, 4
+      angle = atan(mu)*parts(trial)
+      call new_case(model, state, 4, [0.1_wp], 'box', [1.0_wp, 1.0_wp, 0.2_wp], 3.0_wp, 1.0e-3_wp)
+      call set_body(model, 3.0_wp, [0.26_wp, 0.26_wp, 0.5_wp])
+      model%net%inverse_mass = 0.0_wp
+      model%net%fixed = .true.
+      model%contact%friction = mu
+      model%contact%restitution = 0.0_wp
+      call new_contact_work(work, model)
+      state%node_position(1:4, 1) = x
+      state%node_position(1:4, 2) = y
+      ! The slope stays level, gravity leans.
+      state%target%position = [0.0_wp, 0.0_wp, 0.1_wp]
+      do s = 1, 300
+        state%target%velocity = state%target%velocity + h*g*[sin(angle), 0.0_wp, -cos(angle)]
+        call handle_contacts(model, state, work, error)
+        state%target%position = state%target%position + h*state%target%velocity
+      end do
+      exact = max(0.0_wp, g*(sin(angle) - mu*cos(angle)))*h*300
+      call expect_close(state%target%velocity(1), exact, 'its speed', atol=1.0e-9_wp)
+      call expect_close(state%target%velocity(2:3), [0.0_wp, 0.0_wp], 'along the slope', atol=1.0e-9_wp)
+      call expect_close(state%target%angular_velocity, [0.0_wp, 0.0_wp, 0.0_wp], 'it does not turn', atol=1.0e-8_wp)
+      if (trial > 2) call expect(state%target%position(1) > 0.0_wp, 'it slips')
+      call expect(state%tally%contact_residual <= 1.0e-9_wp, 'the law holds')
+    end do
+  end subroutine block_on_slope
 
   !> Nodes at rest all round a ball's equator press on it while it spins.
   subroutine brake()

@@ -25,7 +25,10 @@ module castnet_coupled_friction
   private
   public :: coupled_work_t, newton_work_t, reserve_coupled, solve_coupled_friction
 
-  integer, parameter :: max_try = 7
+  integer, parameter :: max_try = 10
+  integer, parameter :: sweeps_at = 7        !! the try that begins with sweeps; later ones raise friction in steps
+  !> Factors of rho by try: another rho says the same law and has its valleys elsewhere.
+  real(wp), parameter :: rho(max_try) = [1.0_wp, 1.0_wp, 4.0_wp, 0.25_wp, 16.0_wp, 64.0_wp, 1.0_wp, 1.0_wp, 4.0_wp, 1.0_wp]
   integer, parameter :: sweeps_between = 60  !! sweeps before another try
   integer, parameter :: max_newton = 60      !! steps in one try
   integer, parameter :: max_cut = 6          !! halvings of a step
@@ -111,7 +114,7 @@ contains
     real(wp), intent(out) :: residual   !! [m/s]
     logical, intent(out) :: converged
     real(wp), intent(out) :: twist(6)   !! change of the body's twist, inertial axes
-    real(wp) :: largest, change
+    real(wp) :: largest, change, error
     integer :: try
     call number_nodes(list, work)
     call set_mobilities(problem, list, body, work, largest)
@@ -121,36 +124,39 @@ contains
     iterations = 0
     do try = 1, max_try
       call begin(try)
-      call newton(problem, list, body, work, groups, dense, first_epsilon*merge(1.0_wp, 10.0_wp, mod(try, 2) == 1), twist, &
-                  largest, iterations, residual)
+      work%mobility(1:list%n) = rho(try)*work%mobility(1:list%n)
+      call newton(problem, list, body, work, groups, dense, first_epsilon*merge(10.0_wp, 1.0_wp, try == 2), twist, largest, &
+                  iterations, residual)
+      work%mobility(1:list%n) = work%mobility(1:list%n)/rho(try)
+      call measure(problem, list, work, twist, residual, error)
       converged = residual <= accept_below*largest
       if (converged) exit
     end do
   contains
-    !> Where to begin: at rest, after sweeps, and with friction raised from nothing.
+    !> Where to begin: at rest, after sweeps, with friction raised from nothing.
     subroutine begin(try)
       integer, intent(in) :: try
       real(wp) :: friction
-      integer :: k
-      select case (try)
-      case (1, 2)
-        problem%impulse(1:list%n, :) = 0.0_wp
-      case (3, 4)
+      integer :: k, steps
+      if (try == sweeps_at) then
         do k = 1, sweeps_between
           call sweep(problem, list, body, work, twist, change)
           if (change <= tolerance*largest) exit
         end do
         iterations = iterations + sweeps_between
-      case default
+      else
         problem%impulse(1:list%n, :) = 0.0_wp
+      end if
+      if (try > sweeps_at) then
         friction = problem%friction
-        do k = 0, 4**(try - 4) - 1
-          problem%friction = friction*k/4**(try - 4)
+        steps = 4**(try - sweeps_at)
+        do k = 0, steps - 1
+          problem%friction = friction*k/steps
           call replay(problem, list, body, work, twist)
           call newton(problem, list, body, work, groups, dense, first_epsilon, twist, largest, iterations, residual)
         end do
         problem%friction = friction
-      end select
+      end if
       call replay(problem, list, body, work, twist)
     end subroutine begin
   end subroutine solve_coupled_friction
