@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+import contact_ensembles
 from bullet_differences import Trajectories, differences, direction_means
 from castnet_reader import Run
 from castnet_runner import ROOT, Job, find_castnet, run_all
@@ -342,7 +343,15 @@ def command(name: str, seed="K") -> str:
     return " ".join([*words, f"--set perturb/node_position={NUDGE}", f"--set perturb/seed={seed}"])
 
 
-def page(e: Ensembles, version: str, lost: set[str], figures: list[str]) -> str:
+CONTACT = """## What the contact model does to a capture
+
+By `tools/contact_ensembles.py`: the paper's contact (equality: impulses may pull, nothing corrects positions), ours, and
+what the paper left out; probability of capture with Wilson's interval, means and spreads of the rest. Friction
+coefficient 0.3. Deepest: of all runs, after the correction.
+"""
+
+
+def page(e: Ensembles, version: str, lost: set[str], figures: list[str], contact: str) -> str:
     text = [INTRODUCTION.format(seeds=e.seeds, nudge=NUDGE, version=version, runs=len(ENSEMBLES) * e.seeds)]
     words = []
     for title, (rows_of, needs) in SECTIONS.items():
@@ -358,6 +367,7 @@ def page(e: Ensembles, version: str, lost: set[str], figures: list[str]) -> str:
         text.append("")
     count = {word: words.count(word) for word in (AGREES, MOSTLY, DIFFERS, UNCHECKED)}
     text.insert(1, f"Of {len(words)} claims {count[AGREES]} agree, {count[MOSTLY]} agree mostly, {count[DIFFERS]} differ, {count[UNCHECKED]} cannot be checked.\n")
+    text += [CONTACT, contact]
     text.append("## The runs\n\nEach line is repeated with seeds K = 1 to "
                 f"{e.seeds}. `tools/validation_page.py` runs them all, two at a time.\n\n| runs | command |\n|---|---|")
     text += [f"| {name} | `{command(name)}` |" for name in ENSEMBLES]
@@ -424,7 +434,8 @@ def main() -> int:
             if (drawn / file_name(name)).is_file():
                 shrink(drawn / file_name(name), figures / file_name(name))
     here = [name for name in FIGURES if (figures / file_name(name)).is_file()]
-    text = page(Ensembles(arguments.folder, arguments.seeds, failed), version_of(castnet), lost, here)
+    contact = contact_ensembles.section(castnet, fresh=arguments.fresh)
+    text = page(Ensembles(arguments.folder, arguments.seeds, failed), version_of(castnet), lost, here, contact)
     arguments.page.write_text(text, encoding="utf-8")
     print(arguments.page)
     return 1 if lost else 0

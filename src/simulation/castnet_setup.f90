@@ -87,6 +87,7 @@ contains
     character(len=:), allocatable :: thread
 
     thread = ''
+    ratio = 0.0_wp
     if (allocated(model%net)) then
       if (scene%net%kind == 'square') then
         ! Directions of the taut net are those of the stowed one, without its perturbation.
@@ -96,6 +97,9 @@ contains
         call net_spectrum(model%net, report%spectrum)
       end if
       report%stable_limit = largest_stable_step(model%method, report%spectrum)
+      ! The largest damping ratio of the net's own modes, near enough: threads do not damp them.
+      if (report%spectrum%highest_frequency > 0.0_wp) &
+        ratio = 0.5_wp*report%spectrum%largest_damping_rate/report%spectrum%highest_frequency
       if (allocated(model%closing)) then
         net_limit = report%stable_limit
         call widen_by_thread(report%spectrum, model%closing, model%net)
@@ -144,8 +148,6 @@ contains
       report%reason = '0.7 of the stability limit'
     end if
     if (model%method == method_midpoint .and. report%spectrum%highest_frequency > 0.0_wp) then
-      ! The largest damping ratio of a mode, near enough.
-      ratio = 0.5_wp*report%spectrum%largest_damping_rate/report%spectrum%highest_frequency
       phase = undamped_phase + phase_by_damping*ratio
       if (report%step*report%spectrum%highest_frequency > phase) then
         report%step = phase/report%spectrum%highest_frequency
