@@ -81,10 +81,16 @@ install_python_packages() {
   cp "$wanted" "$stamp"
 }
 
-# The flags of the release build stand in fpm.rsp, once.
-release_flags() {
-  sed -n '/^@release$/,/^@release-test$/s/.*--flag "\(.*\)"$/\1/p' "$castnet_root/fpm.rsp" | head -1
+# The flags of a build, as they stand in fpm.rsp behind its name.
+build_flags() {
+  sed -n "/^@$1\$/,/^\$/s/.*--flag \"\(.*\)\"\$/\1/p" "$castnet_root/fpm.rsp" | head -1
 }
+
+release_flags() { build_flags release; }
+
+# The check build counts every line that it runs, for tools/coverage.py.
+covered_check_flags() { printf '%s --coverage' "$(build_flags check)"; }
+covered_c_flags="-O0 -g --coverage"
 
 # The commit goes into one C file, so that `castnet version` and every result can name it;
 # a plain `fpm @release` also builds, and says that it does not know.
@@ -92,6 +98,22 @@ commit_flags() {
   local commit
   commit=$(git -C "$castnet_root" describe --always --dirty --abbrev=12 2>/dev/null || true)
   printf '%s' "-O2${commit:+ -DCASTNET_COMMIT=$commit}"
+}
+
+# Build the program of the covered check build, set $castnet_checked to it.
+build_checked() {
+  local flags log
+  flags=$(covered_check_flags)
+  log=$(mktemp)
+  (cd "$castnet_root" && fpm build --profile debug --flag "$flags" --c-flag "$covered_c_flags") >"$log" 2>&1 </dev/null || {
+    tail -40 "$log" >&2
+    rm -f "$log"
+    lacking "the check build failed; the compiler's words stand above."
+  }
+  rm -f "$log"
+  castnet_checked=$castnet_root/$(cd "$castnet_root" && fpm run castnet --profile debug --flag "$flags" --c-flag "$covered_c_flags" \
+    --runner echo 2>/dev/null </dev/null | grep -E '/castnet$' | tail -1)
+  [ -x "$castnet_checked" ] || lacking "the check build finished, but the program is not where fpm says: $castnet_checked"
 }
 
 # Build the release, set $castnet to the program.
