@@ -22,7 +22,7 @@ module castnet_shape
   private
   public :: shape_t, new_shape, new_compound, new_mesh_shape, new_surface_shape, move_shape
   public :: signed_distance, signed_distance_within, segment_distance, segment_distance_within, swept_contact
-  public :: shape_bounding_radius, shape_bounds, shape_volume, shape_centroid, unit_inertia, shape_length
+  public :: shape_bounding_radius, shape_bounds, shape_volume, shape_centroid, unit_inertia, shape_length, is_convex
   public :: tessellate, surface_samples
   public :: shape_none, shape_box, shape_cylinder, shape_sphere, shape_capsule, shape_compound, shape_mesh
 
@@ -184,6 +184,13 @@ contains
       count = 0
     end select
   end function dimensions_needed
+
+  !> Is the shape known to be convex? Then so is its signed distance.
+  pure logical function is_convex(shape)
+    type(shape_t), intent(in) :: shape
+    is_convex = shape%kind == shape_box .or. shape%kind == shape_cylinder .or. shape%kind == shape_sphere .or. &
+                shape%kind == shape_capsule
+  end function is_convex
 
   !> Signed distance (negative inside) and outward unit normal, its gradient, of many
   !> points in body axes. Exact for primitives, meshes and outside compounds; inside compounds

@@ -369,6 +369,7 @@ contains
     integer, intent(in) :: begin, finish
     real(wp), intent(in) :: loose_force(plan%n_loose, 3)
     real(wp), intent(inout) :: force(chunk_size, 3)
+    real(wp) :: fx, fy, fz, towards
     integer :: j, p, k, i, low, high, middle
 
     low = 1                         ! bisection for the first loose node at or after begin
@@ -384,14 +385,20 @@ contains
     do j = low, plan%n_loose_node
       if (plan%loose_node(j) > finish) exit
       i = plan%loose_node(j) - begin + 1
+      fx = force(i, 1)
+      fy = force(i, 2)
+      fz = force(i, 3)
       do p = plan%loose_pointer(j), plan%loose_pointer(j + 1) - 1
         k = abs(plan%loose_entry(p))
-        if (plan%loose_entry(p) > 0) then
-          force(i, :) = force(i, :) + loose_force(k, :)
-        else
-          force(i, :) = force(i, :) - loose_force(k, :)
-        end if
+        ! A factor, not a branch: at which end of its cable a node lies nobody can predict.
+        towards = real(sign(1, plan%loose_entry(p)), wp)
+        fx = fx + towards*loose_force(k, 1)
+        fy = fy + towards*loose_force(k, 2)
+        fz = fz + towards*loose_force(k, 3)
       end do
+      force(i, 1) = fx
+      force(i, 2) = fy
+      force(i, 3) = fz
     end do
   end subroutine add_loose
 

@@ -360,35 +360,76 @@ contains
     type(contact_work_t), intent(inout) :: work
     real(wp), intent(in) :: r(3, 3)
     real(wp), intent(out) :: deepest  !! [m], >= 0
-    real(wp) :: arm(3), g(3), gap(1), s(1), normal(3, 1), a(3, 1), b(3, 1)
-    integer :: k, c
+    integer :: k, m, n, n_node_contact
     deepest = 0.0_wp
-    associate (list => work%list, x => state%node_position, centre => state%target%position)
+    ! All nodes at once, then all cables: the distances of many cost much less than many distances.
+    associate (list => work%list, near => work%near, shape => model%target%shape)
+      n = 0
       do k = 1, list%n
-        arm = [x(list%node_a(k), 1), x(list%node_a(k), 2), x(list%node_a(k), 3)] - centre
-        a(:, 1) = multiply_transposed(r, arm)
-        if (list%node_b(k) == list%node_a(k)) then
-          call signed_distance(model%target%shape, 1, a, gap, normal)
-        else
-          g = [x(list%node_b(k), 1), x(list%node_b(k), 2), x(list%node_b(k), 3)] - centre
-          b(:, 1) = multiply_transposed(r, g)
-          call segment_distance(model%target%shape, 1, a, b, s, gap, normal)
-          list%share(k) = s(1)
-          list%weight_a(k) = 1.0_wp - s(1)
-          arm = list%weight_a(k)*arm + s(1)*g
-        end if
-        deepest = max(deepest, -gap(1))
-        g = normal(:, 1)
-        if (gap(1) < 0.0_wp .and. list%node_b(k) /= list%node_a(k)) call mend_normal(model%target%shape, a(:, 1), b(:, 1), &
-                                                                                     s(1), gap(1), g)
-        g = multiply(r, g)
-        list%gap(k) = gap(1)
-        do c = 1, 3
-          list%arm(k, c) = arm(c)
-          list%normal(k, c) = g(c)
-        end do
+        if (list%node_b(k) /= list%node_a(k)) cycle
+        n = n + 1
+        near%found(n) = k
+        near%a(:, n) = in_body_axes(list%node_a(k))
+      end do
+      call signed_distance(shape, n, near%a, near%distance, near%normal)
+      do m = 1, n
+        deepest = max(deepest, -near%distance(m))
+        call place(near%found(m), from_body(list%node_a(near%found(m))), near%distance(m), near%normal(:, m))
+      end do
+      n_node_contact = n
+      if (n_node_contact == list%n) return
+      n = 0
+      do k = 1, list%n
+        if (list%node_b(k) == list%node_a(k)) cycle
+        n = n + 1
+        near%found(n) = k
+        near%a(:, n) = in_body_axes(list%node_a(k))
+        near%b(:, n) = in_body_axes(list%node_b(k))
+      end do
+      call segment_distance(shape, n, near%a, near%b, near%fraction, near%distance, near%normal)
+      do m = 1, n
+        k = near%found(m)
+        list%share(k) = near%fraction(m)
+        list%weight_a(k) = 1.0_wp - near%fraction(m)
+        deepest = max(deepest, -near%distance(m))
+        if (near%distance(m) < 0.0_wp) call mend_normal(shape, near%a(:, m), near%b(:, m), near%fraction(m), &
+                                                        near%distance(m), near%normal(:, m))
+        call place(k, list%weight_a(k)*from_body(list%node_a(k)) + near%fraction(m)*from_body(list%node_b(k)), &
+                   near%distance(m), near%normal(:, m))
       end do
     end associate
+
+  contains
+
+    !> From the body's centre of mass to a node, inertial axes [m].
+    pure function from_body(i) result(arm)
+      integer, intent(in) :: i
+      real(wp) :: arm(3)
+      arm(1) = state%node_position(i, 1) - state%target%position(1)
+      arm(2) = state%node_position(i, 2) - state%target%position(2)
+      arm(3) = state%node_position(i, 3) - state%target%position(3)
+    end function from_body
+
+    pure function in_body_axes(i) result(y)
+      integer, intent(in) :: i
+      real(wp) :: y(3)
+      y = multiply_transposed(r, from_body(i))
+    end function in_body_axes
+
+    !> What was measured, to the list; the normal comes in body axes.
+    subroutine place(contact, arm, gap, g)
+      integer, intent(in) :: contact
+      real(wp), intent(in) :: arm(3), gap, g(3)
+      real(wp) :: normal(3)
+      integer :: c
+      normal = multiply(r, g)
+      work%list%gap(contact) = gap
+      do c = 1, 3
+        work%list%arm(contact, c) = arm(c)
+        work%list%normal(contact, c) = normal(c)
+      end do
+    end subroutine place
+
   end subroutine remeasure
 
 end module castnet_contact_event

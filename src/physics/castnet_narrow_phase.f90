@@ -6,7 +6,7 @@
 module castnet_narrow_phase
   use castnet_kinds, only: wp
   use castnet_net, only: net_t
-  use castnet_shape, only: shape_t, signed_distance, signed_distance_within, segment_distance_within
+  use castnet_shape, only: shape_t, signed_distance, signed_distance_within, segment_distance_within, is_convex
   use castnet_contact_list, only: contact_list_t
   use castnet_near_list, only: near_list_t
   implicit none
@@ -87,11 +87,12 @@ contains
       near%b(3, n) = y(b, 3)
     end do
     if (n == 0) return
-    call segment_distance_within(shape, threshold, n, near%a, near%b, near%fraction, near%distance, near%normal)
     n_node_contact = list%n
     do k = 1, n_node_contact
       node_gap(list%node_a(k)) = list%gap(k)
     end do
+    if (is_convex(shape)) call sieve_cables(near, threshold, net, shape, n_pad, node_gap, n)
+    call segment_distance_within(shape, threshold, n, near%a, near%b, near%fraction, near%distance, near%normal)
     do k = 1, n
       if (.not. near%distance(k) <= threshold) cycle
       c = near%found(k)
@@ -110,6 +111,49 @@ contains
       node_gap(list%node_a(k)) = huge(1.0_wp)
     end do
   end subroutine append_cables
+
+  !> Drop the cables that cannot be contacts, by their ends alone: a convex solid's distance
+  !> is convex along a cable, so it lies above the tangents at both ends, and nowhere below
+  !> where these cross. Most cables near a body lie along a face of it, on their nodes.
+  subroutine sieve_cables(near, threshold, net, shape, n_pad, node_gap, n)
+    type(near_list_t), intent(inout) :: near
+    real(wp), intent(in) :: threshold
+    type(net_t), intent(in) :: net
+    type(shape_t), intent(in) :: shape
+    integer, intent(in) :: n_pad
+    real(wp), intent(in) :: node_gap(n_pad)              !! huge but for nodes in contact [m]
+    integer, intent(inout) :: n                          !! candidates in near%found, near%a, near%b
+    real(wp) :: v1, v2, v3, first, last, least, margin
+    integer :: k, kept, c
+    margin = 0.5_wp*lies_on_node*threshold               ! for rounding, on the safe side
+    call signed_distance(shape, n, near%a, near%distance, near%normal)
+    call signed_distance(shape, n, near%b, near%end_distance, near%end_normal)
+    do k = 1, n
+      v1 = near%b(1, k) - near%a(1, k)
+      v2 = near%b(2, k) - near%a(2, k)
+      v3 = near%b(3, k) - near%a(3, k)
+      first = min(0.0_wp, near%normal(1, k)*v1 + near%normal(2, k)*v2 + near%normal(3, k)*v3)
+      last = max(0.0_wp, near%end_normal(1, k)*v1 + near%end_normal(2, k)*v2 + near%end_normal(3, k)*v3)
+      ! Where d_a + first t meets d_b - last (1 - t); without a crossing the lower end.
+      least = near%distance(k)*last - near%end_distance(k)*first + first*last
+      v1 = last - first
+      least = least/merge(v1, 1.0_wp, v1 > 0.0_wp)
+      near%fraction(k) = merge(least, near%distance(k), v1 > 0.0_wp)
+      near%fraction(k) = min(near%fraction(k), near%distance(k), near%end_distance(k))
+    end do
+    kept = 0
+    do k = 1, n
+      least = near%fraction(k)
+      if (least > threshold + margin) cycle
+      c = near%found(k)
+      if (least >= min(node_gap(net%cable_nodes(1, c)), node_gap(net%cable_nodes(2, c))) - margin) cycle
+      kept = kept + 1
+      near%found(kept) = c
+      near%a(:, kept) = near%a(:, k)
+      near%b(:, kept) = near%b(:, k)
+    end do
+    n = kept
+  end subroutine sieve_cables
 
   !> The normal of a cable that has sunk in over an edge. Its deepest point is as far from
   !> one face as from the other, and neither face's normal n1, n2 is the way out: that is

@@ -24,6 +24,7 @@ module castnet_near_list
     integer, allocatable :: found(:)             !! scratch of a rebuild
     real(wp), allocatable :: a(:, :), b(:, :)    !! (3,:) scratch: points, or ends of segments, body axes [m]
     real(wp), allocatable :: fraction(:), distance(:), normal(:, :) !! scratch: of points or segments
+    real(wp), allocatable :: end_distance(:), end_normal(:, :)      !! scratch: of segments' second ends
   end type near_list_t
 
 contains
@@ -43,6 +44,7 @@ contains
     allocate (near%node_distance(net%n_node), near%cable_distance(size(near%cable)), source=0.0_wp)
     allocate (near%a(3, m), near%b(3, merge(m, 0, with_cables)), near%normal(3, m), source=0.0_wp)
     allocate (near%fraction(m), near%distance(m), source=0.0_wp)
+    allocate (near%end_distance(merge(m, 0, with_cables)), near%end_normal(3, merge(m, 0, with_cables)), source=0.0_wp)
   end subroutine reserve_near
 
   !> How far the fastest node has moved in body axes since the list was built [m].
