@@ -494,7 +494,8 @@ def check_monitors(folder: Path) -> None:
     good = run(CUBESAT, output)
     check("monitors: a sound run warns of nothing", good.returncode == 0 and "warning" not in good.stderr, good.stderr)
     output.unlink()
-    unstable = (CUBESAT[0], ["time/step=3e-4", "time/allow_unstable=.true.", "output/checkpoint_interval=0.001"])
+    # rk4 just above its limit grows slowly enough for a row of history to see it before the end
+    unstable = (CUBESAT[0], ["time/method=rk4", "time/step=3e-4", "time/allow_unstable=.true.", "output/checkpoint_interval=0.001"])
     done = run(unstable, output, "--quiet")
     words = done.stderr
     check("monitors: an explosion is exit code 3 with node, cable, advice and what is left", done.returncode == 3
@@ -507,7 +508,7 @@ def check_monitors(folder: Path) -> None:
     again = restart(unstable, output, "--quiet")
     check("monitors: the checkpoint is sound: going on from it ends at the same step", again.returncode == 3
           and again.stderr.split("step ")[-1] == words.split("step ")[-1], (again.stderr, words))
-    none = (CUBESAT[0], [*unstable[1][:2], "output/checkpoint_interval=0"])
+    none = (CUBESAT[0], [*unstable[1][:3], "output/checkpoint_interval=0"])
     done = run(none, folder / "none.h5", "--quiet")
     check("monitors: without a checkpoint it says so", done.returncode == 3 and "no checkpoint was due" in done.stderr, done.stderr)
     soft = (CUBESAT[0], ["contact/law='penalty'", "contact/stiffness=0.01"])
