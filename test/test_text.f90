@@ -1,7 +1,7 @@
 !> Numbers as text and back, spelling suggestions, durations, paths.
 module test_text
   use castnet_kinds, only: wp, i8
-  use castnet_text, only: to_text, lower, edit_distance, closest_word, word_at, word_count, is_one_of, parse_real, &
+  use castnet_text, only: to_text, rounded_text, lower, edit_distance, closest_word, word_at, word_count, is_one_of, parse_real, &
                           parse_integer, parse_logical, parse_duration, duration_text, byte_text, path_beside, &
                           name_of, without_extension, quoted, is_utf8, did_you_mean
   use testing, only: test_case, expect, expect_equal, expect_close
@@ -37,6 +37,9 @@ contains
     call expect_equal(to_text(huge(1.0_wp)), '1.7976931348623157e308', 'largest')
     call expect_equal(to_text(-12_i8), '-12', 'integer')
     call expect_equal(to_text(.true.), '.true.', 'logical')
+    call expect_equal(rounded_text(1.0_wp/3.0_wp, 3), '0.333', 'a third to three digits')
+    call expect_equal(rounded_text(-99996.0_wp, 4), '-1e5', 'rounded up to the next power of ten')
+    call expect_equal(rounded_text(4.9996e-5_wp, 4), '5e-5', 'digits that say nothing are left out')
     bits = 88172645463325252_i8
     do i = 1, 4000
       bits = ieor(bits, ishft(bits, 13))

@@ -37,15 +37,22 @@ contains
       subroutine procedure()
       end subroutine procedure
     end interface
+    character(len=16) :: duration
+    real(wp) :: start, stop
     if (.not. selected(name)) return
     case_failed = .false.
+    call cpu_time(start)
     call procedure()
+    call cpu_time(stop)
+    ! Where the suite's time goes; never a claim.
+    duration = ''
+    if (stop - start >= 1.0_wp) write (duration, '(a,f0.1,a)') '  (', stop - start, ' s)'
     if (case_failed) then
       n_failed = n_failed + 1
-      write (output_unit, '(2a)') 'FAIL  ', name
+      write (output_unit, '(3a)') 'FAIL  ', name, trim(duration)
     else
       n_passed = n_passed + 1
-      write (output_unit, '(2a)') 'ok    ', name
+      write (output_unit, '(3a)') 'ok    ', name, trim(duration)
     end if
     flush (output_unit)
   end subroutine test_case

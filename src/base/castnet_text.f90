@@ -6,7 +6,7 @@ module castnet_text
   implicit none
   private
   public :: text_t
-  public :: to_text, lower, edit_distance, closest_word, did_you_mean, word_at, word_count, is_one_of
+  public :: to_text, rounded_text, lower, edit_distance, closest_word, did_you_mean, word_at, word_count, is_one_of
   public :: parse_real, parse_integer, parse_logical, parse_duration, duration_text, byte_text
   public :: path_beside, folder_of, name_of, without_extension, quoted, is_utf8, replace_all
 
@@ -80,6 +80,20 @@ contains
       text = sign//digits//'e'//to_text(exponent)
     end if
   end function plain_or_scientific
+
+  !> A real rounded to so many significant digits (1 to 17), as short as `to_text` has it.
+  pure function rounded_text(value, digits) result(text)
+    real(wp), intent(in) :: value
+    integer, intent(in) :: digits
+    character(len=:), allocatable :: text
+    character(len=32) :: buffer
+    character(len=12) :: form
+    real(wp) :: rounded
+    write (form, '(a,i0,a)') '(es32.', digits - 1, 'e3)'
+    write (buffer, form) value
+    read (buffer, *) rounded
+    text = to_text(rounded)
+  end function rounded_text
 
   pure function integer_to_text(value) result(text)
     integer, intent(in) :: value

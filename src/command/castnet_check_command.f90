@@ -16,7 +16,7 @@ module castnet_check_command
   use castnet_setup, only: overlap_words
   use castnet_study_request, only: study_request_t, grid_size, is_search
   use castnet_terminal, only: warn_lines, say, tell
-  use castnet_text, only: to_text, duration_text, path_beside
+  use castnet_text, only: to_text, rounded_text, duration_text, path_beside
   use castnet_text_file, only: read_text_file
   implicit none
   private
@@ -140,13 +140,13 @@ contains
     call say('scene            '//scene%path//': sound')
     if (allocated(sim%model%net)) then
       call say('net              '//to_text(sim%model%net%n_node)//' nodes, '//to_text(sim%model%net%n_cable)//' cables, '// &
-               three(sum(sim%model%net%node_mass, .not. sim%model%net%is_bullet))//' kg without bullets')
-      call say('highest frequency '//three(sim%report%spectrum%highest_frequency)//' rad/s, largest damping rate '// &
-               three(sim%report%spectrum%largest_damping_rate)//' 1/s')
-      call say('stable step      '//three(sim%report%stable_limit)//' s ('//trim(scene%time%method)//')')
+               rounded_text(sum(sim%model%net%node_mass, .not. sim%model%net%is_bullet), 5)//' kg without bullets')
+      call say('highest frequency '//rounded_text(sim%report%spectrum%highest_frequency, 5)//' rad/s, largest damping rate '// &
+               rounded_text(sim%report%spectrum%largest_damping_rate, 5)//' 1/s')
+      call say('stable step      '//rounded_text(sim%report%stable_limit, 5)//' s ('//trim(scene%time%method)//')')
     end if
     if (allocated(sim%model%target)) call say('target           '//trim(scene%target%shape)//', '// &
-      three(sim%model%target%mass)//' kg'//trim(merge(', fixed', '       ', scene%target%fixed)))
+      rounded_text(sim%model%target%mass, 5)//' kg'//trim(merge(', fixed', '       ', scene%target%fixed)))
     call say('step             '//to_text(sim%model%step)//' s, '//sim%report%reason)
     if (sim%report%unstable) call warn_lines('the step is above the stability limit')
     if (sim%report%overlap_node > 0) call warn_lines(overlap_words(sim%report))
@@ -243,16 +243,5 @@ contains
     end if
     call start(sim, scene, 1, file_net, error)
   end subroutine set_up_small
-
-  !> A figure to three digits.
-  function three(value) result(text)
-    real(wp), intent(in) :: value
-    character(len=:), allocatable :: text
-    character(len=16) :: buffer
-    real(wp) :: rounded
-    write (buffer, '(es12.4)') value
-    read (buffer, *) rounded
-    text = to_text(rounded)
-  end function three
 
 end module castnet_check_command

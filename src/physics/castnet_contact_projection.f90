@@ -60,35 +60,14 @@ contains
     type(cable_incidence_t), intent(inout) :: incidence
     real(wp), intent(out) :: energy
     integer :: k
-    incidence%present = incidence%present + 1
-    if (incidence%present == huge(1)) then
-      incidence%stamp = 0
-      incidence%present = 1
-    end if
+    call forget_counted(incidence)
     energy = 0.0_wp
     do k = 1, list%n
       if (.not. moved(k) > 0.0_wp) cycle
-      call add_cables_of(list%node_a(k))
-      if (list%node_b(k) /= list%node_a(k)) call add_cables_of(list%node_b(k))
+      call add_cables_of(net, n_pad, x, list%node_a(k), incidence, energy)
+      if (list%node_b(k) /= list%node_a(k)) &
+        call add_cables_of(net, n_pad, x, list%node_b(k), incidence, energy)
     end do
-  contains
-    subroutine add_cables_of(node)
-      integer, intent(in) :: node
-      real(wp) :: dx, dy, dz, stretch
-      integer :: e, c, a, b
-      do e = incidence%start(node), incidence%start(node + 1) - 1
-        c = incidence%cable(e)
-        if (incidence%stamp(c) == incidence%present) cycle
-        incidence%stamp(c) = incidence%present
-        a = net%cable_nodes(1, c)
-        b = net%cable_nodes(2, c)
-        dx = x(b, 1) - x(a, 1)
-        dy = x(b, 2) - x(a, 2)
-        dz = x(b, 3) - x(a, 3)
-        stretch = max(0.0_wp, sqrt(dx*dx + dy*dy + dz*dz) - net%natural_length(c))
-        energy = energy + 0.5_wp*net%axial_stiffness(c)/net%natural_length(c)*stretch*stretch
-      end do
-    end subroutine add_cables_of
   end subroutine energy_of_moved_cables
 
   !> Elastic energy of every cable at the given nodes [J].
@@ -98,29 +77,46 @@ contains
     real(wp), intent(in) :: x(n_pad, 3)
     integer, intent(in) :: node(:)                      !! counted from 1
     type(cable_incidence_t), intent(inout) :: incidence
-    real(wp) :: dx, dy, dz, stretch
-    integer :: k, e, c, a, b
+    integer :: k
+    call forget_counted(incidence)
+    energy = 0.0_wp
+    do k = 1, size(node)
+      call add_cables_of(net, n_pad, x, node(k), incidence, energy)
+    end do
+  end function energy_of_cables_at
+
+  !> From here on no cable has been counted.
+  pure subroutine forget_counted(incidence)
+    type(cable_incidence_t), intent(inout) :: incidence
     incidence%present = incidence%present + 1
     if (incidence%present == huge(1)) then
       incidence%stamp = 0
       incidence%present = 1
     end if
-    energy = 0.0_wp
-    do k = 1, size(node)
-      do e = incidence%start(node(k)), incidence%start(node(k) + 1) - 1
-        c = incidence%cable(e)
-        if (incidence%stamp(c) == incidence%present) cycle
-        incidence%stamp(c) = incidence%present
-        a = net%cable_nodes(1, c)
-        b = net%cable_nodes(2, c)
-        dx = x(b, 1) - x(a, 1)
-        dy = x(b, 2) - x(a, 2)
-        dz = x(b, 3) - x(a, 3)
-        stretch = max(0.0_wp, sqrt(dx*dx + dy*dy + dz*dz) - net%natural_length(c))
-        energy = energy + 0.5_wp*net%axial_stiffness(c)/net%natural_length(c)*stretch*stretch
-      end do
+  end subroutine forget_counted
+
+  !> Add the elastic energy of a node's cables that have not been counted yet [J].
+  pure subroutine add_cables_of(net, n_pad, x, node, incidence, energy)
+    type(net_t), intent(in) :: net
+    integer, intent(in) :: n_pad, node                  !! counted from 1
+    real(wp), intent(in) :: x(n_pad, 3)
+    type(cable_incidence_t), intent(inout) :: incidence
+    real(wp), intent(inout) :: energy
+    real(wp) :: dx, dy, dz, stretch
+    integer :: e, c, a, b
+    do e = incidence%start(node), incidence%start(node + 1) - 1
+      c = incidence%cable(e)
+      if (incidence%stamp(c) == incidence%present) cycle
+      incidence%stamp(c) = incidence%present
+      a = net%cable_nodes(1, c)
+      b = net%cable_nodes(2, c)
+      dx = x(b, 1) - x(a, 1)
+      dy = x(b, 2) - x(a, 2)
+      dz = x(b, 3) - x(a, 3)
+      stretch = max(0.0_wp, sqrt(dx*dx + dy*dy + dz*dz) - net%natural_length(c))
+      energy = energy + 0.5_wp*net%axial_stiffness(c)/net%natural_length(c)*stretch*stretch
     end do
-  end function energy_of_cables_at
+  end subroutine add_cables_of
 
   !> 1/w; a fixed point has no mass to speak of, and solvers that divide by w are not
   !> given one: any positive number says that the contact counts.

@@ -19,10 +19,10 @@ module castnet_accuracy
   use castnet_scene, only: scene_t
   use castnet_scene_net, only: load_scene_net
   use castnet_simulation, only: simulation_t, due_t, start, run_to_next, is_finished, take_measures, frame_taken
-  use castnet_text, only: to_text
+  use castnet_text, only: rounded_text
   implicit none
   private
-  public :: accuracy_t, setting_t, setting_words, short, is_below, measure_accuracy, observable_name, observable_unit, n_observable
+  public :: accuracy_t, setting_t, setting_words, is_below, measure_accuracy, observable_name, observable_unit, n_observable
 
   integer, parameter :: n_look = 200       !! equal times at which runs are compared; every step divides them
   integer, parameter :: members = 12       !! a mean's error is then 0.4 of the spread
@@ -128,7 +128,7 @@ contains
     call fly_members(scene, file_net, result%reference, n_thread, reference)
     call move_first_error(reference, error)
     if (allocated(error)) return
-    call log_progress(log, 0.5_wp, 'reference at '//short(result%reference%step)//' s')
+    call log_progress(log, 0.5_wp, 'reference at '//rounded_text(result%reference%step, 3)//' s')
     call grow_nudge(scene, file_net, result)
     call take_floor(reference, result)
     do s = 1, size(result%settings)
@@ -151,20 +151,9 @@ contains
   function setting_words(setting) result(words)
     type(setting_t), intent(in) :: setting
     character(len=:), allocatable :: words
-    words = trim(setting%method)//' at '//short(setting%step)//' s'
-    if (setting%tolerance > 0.0_wp) words = words//' and a tolerance of '//short(setting%tolerance)
+    words = trim(setting%method)//' at '//rounded_text(setting%step, 3)//' s'
+    if (setting%tolerance > 0.0_wp) words = words//' and a tolerance of '//rounded_text(setting%tolerance, 3)
   end function setting_words
-
-  !> A number to three digits.
-  function short(value) result(words)
-    real(wp), intent(in) :: value
-    character(len=:), allocatable :: words
-    character(len=16) :: buffer
-    real(wp) :: rounded
-    write (buffer, '(es12.2)') value
-    read (buffer, *) rounded
-    words = to_text(rounded)
-  end function short
 
   pure function method_name(m) result(name)
     integer, intent(in) :: m

@@ -1,11 +1,11 @@
 !> What `castnet accuracy` found, as HDF5 for xarray and CSV for everyone.
 module castnet_accuracy_table
   use castnet_kinds, only: wp
-  use castnet_accuracy, only: accuracy_t, setting_words, short, is_below, observable_name, observable_unit, n_observable
+  use castnet_accuracy, only: accuracy_t, setting_words, is_below, observable_name, observable_unit, n_observable
   use castnet_error, only: error_t
   use castnet_hdf5_file, only: hdf5_file_t, create_hdf5, close_file, write_array, write_value, write_text, set_attribute, &
                                make_scale, attach_scales
-  use castnet_text, only: to_text, without_extension
+  use castnet_text, only: to_text, rounded_text, without_extension
   use castnet_text_file, only: write_text_file
   implicit none
   private
@@ -119,15 +119,15 @@ contains
     character(len=:), allocatable :: sentence
     if (result%cheapest == 0) then
       sentence = 'No setting stays below the noise floor of '//to_text(result%n_member)// &
-                 ' perturbed references (rk4 at '//short(result%reference%step)//' s) in every observable.'
+                 ' perturbed references (rk4 at '//rounded_text(result%reference%step, 3)//' s) in every observable.'
       return
     end if
     associate (best => result%settings(result%cheapest))
       sentence = 'The cheapest setting whose error is below the noise floor is '//setting_words(best)//': '// &
-                 short(best%seconds)//' s of processor time a run, '// &
-                 to_text(best%evaluations)//' force evaluations, against '//short(result%reference%seconds)// &
-                 ' s of the reference, rk4 at '//short(result%reference%step)//' s; single runs converge up to '// &
-                 short(result%horizon)//' s, after that only ensembles do.'
+                 rounded_text(best%seconds, 3)//' s of processor time a run, '// &
+                 to_text(best%evaluations)//' force evaluations, against '//rounded_text(result%reference%seconds, 3)// &
+                 ' s of the reference, rk4 at '//rounded_text(result%reference%step, 3)//' s; single runs converge up to '// &
+                 rounded_text(result%horizon, 3)//' s, after that only ensembles do.'
     end associate
   end function accuracy_sentence
 

@@ -10,7 +10,7 @@ module castnet_study_result
   use castnet_study_request, only: study_request_t, is_search
   use castnet_study_search, only: search_result_t
   use castnet_study_table, only: write_study_table
-  use castnet_text, only: to_text, text_t
+  use castnet_text, only: to_text, rounded_text, text_t
   use, intrinsic :: ieee_arithmetic, only: ieee_value, ieee_quiet_nan
   implicit none
   private
@@ -233,8 +233,8 @@ contains
           text = 'P(captured) does not cross '//to_text(s%probability)//' between '//to_text(s%from)//' and '// &
                  to_text(s%to)//' ('//to_text(row%runs)//' runs)'
         else
-          text = 'P(captured) crosses '//to_text(s%probability)//' at '//trim(s%key)//' = '//short(row%estimate)// &
-                 ', '//to_text(s%confidence)//' interval '//short(row%lower)//' to '//short(row%upper)// &
+          text = 'P(captured) crosses '//to_text(s%probability)//' at '//trim(s%key)//' = '//rounded_text(row%estimate, 4)// &
+                 ', '//to_text(s%confidence)//' interval '//rounded_text(row%lower, 4)//' to '//rounded_text(row%upper, 4)// &
                  ', by '//to_text(row%runs)//' runs'
           if (row%crossings > 1) text = text//'; it crosses '//to_text(row%crossings)// &
                                         ' times, this is the first: the curve is not monotone'
@@ -242,22 +242,12 @@ contains
       else if (.not. row%found) then
         text = 'no run gave an answer'
       else
-        text = 'P(captured) is largest at '//trim(s%key)//' = '//short(row%estimate)//', there between '// &
-               short(row%probability_lower)//' and '//short(row%probability_upper)//' ('//to_text(s%confidence)// &
+        text = 'P(captured) is largest at '//trim(s%key)//' = '//rounded_text(row%estimate, 4)//', there between '// &
+               rounded_text(row%probability_lower, 4)//' and '// &
+               rounded_text(row%probability_upper, 4)//' ('//to_text(s%confidence)// &
                ' interval), by '//to_text(row%runs)//' runs'
       end if
     end associate
   end function answer_text
-
-  !> Four digits: more would be said than is known.
-  function short(value) result(text)
-    real(wp), intent(in) :: value
-    character(len=:), allocatable :: text
-    character(len=16) :: buffer
-    real(wp) :: rounded
-    write (buffer, '(es12.3e3)') value
-    read (buffer, *) rounded
-    text = to_text(rounded)
-  end function short
 
 end module castnet_study_result
