@@ -1,10 +1,10 @@
-!> Dense eigenvalues for references: LAPACK with trapping switched off around it.
+!> Dense eigenvalues and solutions for references: LAPACK with trapping switched off around it.
 module lapack_in_tests
   use, intrinsic :: ieee_exceptions, only: ieee_get_halting_mode, ieee_set_halting_mode, ieee_set_flag, ieee_all, ieee_usual
   use castnet_kinds, only: wp
   implicit none
   private
-  public :: symmetric_eigenvalues, spectral_radius
+  public :: symmetric_eigenvalues, spectral_radius, solution
 
   interface
     subroutine dsyev(jobz, uplo, n, a, lda, w, work, lwork, info)
@@ -23,6 +23,13 @@ module lapack_in_tests
       real(wp), intent(out) :: wr(*), wi(*), vl(ldvl, *), vr(ldvr, *), work(*)
       integer, intent(out) :: info
     end subroutine dgeev
+    subroutine dgesv(n, nrhs, a, lda, ipiv, b, ldb, info)
+      import :: wp
+      integer, intent(in) :: n, nrhs, lda, ldb
+      real(wp), intent(inout) :: a(lda, *), b(ldb, *)
+      integer, intent(out) :: ipiv(*)
+      integer, intent(out) :: info
+    end subroutine dgesv
   end interface
 
 contains
@@ -63,5 +70,24 @@ contains
     radius = maxval(sqrt(re**2 + im**2))
     if (info /= 0) radius = huge(1.0_wp)
   end function spectral_radius
+
+  !> x of A x = b; huge where LAPACK finds A singular.
+  function solution(matrix, right) result(x)
+    real(wp), intent(in) :: matrix(:, :), right(:)
+    real(wp) :: x(size(right))
+    real(wp) :: a(size(right), size(right)), b(size(right), 1)
+    logical :: halting(size(ieee_usual))
+    integer :: pivot(size(right)), n, info
+    n = size(right)
+    a = matrix
+    b(:, 1) = right
+    call ieee_get_halting_mode(ieee_usual, halting)
+    call ieee_set_halting_mode(ieee_usual, .false.)
+    call dgesv(n, 1, a, n, pivot, b, n, info)
+    call ieee_set_flag(ieee_all, .false.)
+    call ieee_set_halting_mode(ieee_usual, halting)
+    x = b(:, 1)
+    if (info /= 0) x = huge(1.0_wp)
+  end function solution
 
 end module lapack_in_tests

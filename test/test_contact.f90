@@ -26,6 +26,7 @@ contains
     call test_case('contact: two levels find what every node''s distance finds', detection)
     call test_case('contact: single impulse is several of one', single_is_several)
     call test_case('contact: M of the impulses is symmetric positive definite', positive_definite)
+    call test_case('contact: elimination of the dense method against LAPACK', elimination)
     call test_case('contact: push_only satisfies its conditions up to 2000 contacts', complementarity)
     call test_case('contact: impulses conserve momentum, angular momentum and book the energy', event_ledger)
     call test_case('contact: no frictionless event creates energy', no_energy)
@@ -163,6 +164,40 @@ contains
       row(i, 6) = list%arm(i, 1)*list%normal(i, 2) - list%arm(i, 2)*list%normal(i, 1)
     end do
   end function rows_of
+
+  !> General matrices, some whose first pivots are zero, and a singular one.
+  subroutine elimination()
+    use castnet_dense_impulse, only: solve_linear
+    use lapack_in_tests, only: solution
+    integer, parameter :: sizes(6) = [1, 2, 3, 8, 31, 100]
+    type(random_t) :: random
+    real(wp), allocatable :: matrix(:, :), a(:, :), b(:), x(:)
+    logical :: regular
+    integer :: k, n, i, j, trial
+    do k = 1, size(sizes)
+      n = sizes(k)
+      do trial = 1, 5
+        allocate (matrix(n, n), b(n))
+        do j = 1, n
+          b(j) = normal_draw(random)
+          do i = 1, n
+            matrix(i, j) = normal_draw(random)
+          end do
+        end do
+        if (trial == 1 .and. n > 1) matrix(1:n/2, 1:n/2) = 0.0_wp
+        a = matrix
+        x = b
+        call solve_linear(n, a, x, regular)
+        call expect(regular, 'a random matrix is regular')
+        call expect(maxval(abs(matmul(matrix, x) - b)) <= 1.0e-14_wp*n*maxval(abs(matrix))*maxval(abs(x)), 'it is solved')
+        call expect_close(x, solution(matrix, b), 'as LAPACK solves it', atol=1.0e-9_wp*maxval(abs(x)))
+        matrix(:, n) = 0.0_wp
+        call solve_linear(n, matrix, b, regular)
+        call expect(.not. regular, 'a singular matrix is seen')
+        deallocate (matrix, b)
+      end do
+    end do
+  end subroutine elimination
 
   !> Residual of 0 <= j, 0 <= v+ + e min(v-,0), computed here from the dense M.
   subroutine complementarity()

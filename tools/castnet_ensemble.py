@@ -61,7 +61,7 @@ def run(ensemble: Ensemble, castnet: str, *, fresh: bool = False) -> None:
         return
     before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
     result = subprocess.run([castnet, "study", str(study), "--output", str(ensemble.table), "--force", "--quiet"],
-                            stdin=subprocess.DEVNULL, capture_output=True, text=True, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+                            stdin=subprocess.DEVNULL, capture_output=True, text=True,
                             check=False)
     if result.returncode != 0:
         sys.exit(f"{ensemble.name}: castnet study ended with {result.returncode}\n{result.stderr}")

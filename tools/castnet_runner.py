@@ -71,7 +71,7 @@ def run_all(jobs: list[Job], castnet: str, *, at_once: int = 2, fresh: bool = Fa
     def work(job: Job) -> Job | None:
         nonlocal done
         job.output.parent.mkdir(parents=True, exist_ok=True)
-        surroundings = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        surroundings = os.environ | {"OMP_NUM_THREADS": "1"}
         result = subprocess.run(job.command(castnet), stdin=subprocess.DEVNULL, capture_output=True, text=True,
                                 env=surroundings, check=False)
         done += 1

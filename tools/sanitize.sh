@@ -7,6 +7,7 @@
 #
 # Not in CI but for --quick: valgrind takes twenty times as long as the program.
 set -uo pipefail
+castnet_test_packages=libopenblas-dev   # LAPACK for the references of some tests
 . "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
 cd "$castnet_root" || exit 1
 

@@ -10,9 +10,10 @@
 castnet_root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 castnet_venv=${CASTNET_VENV:-$castnet_root/.venv}
 castnet_python=$castnet_venv/bin/python
-castnet_packages="gfortran gcc libhdf5-dev libopenblas-dev pkg-config python3-venv git ca-certificates"
+# castnet_test_packages: what only the tests need, set by those who source this.
+castnet_packages="gfortran gcc libhdf5-dev pkg-config python3-venv git ca-certificates ${castnet_test_packages:-}"
 
-# One thread in BLAS: castnet threads over its own work.
+# One thread in the tests' LAPACK.
 export OPENBLAS_NUM_THREADS=1
 export LC_ALL=C.UTF-8
 
@@ -35,7 +36,8 @@ install_system_packages() {
     local tool
     for tool in gfortran gcc pkg-config python3 git; do
       command -v $tool >/dev/null || lacking "this is not Debian or Ubuntu, and '$tool' is missing." \
-        "Install gfortran, gcc, HDF5 with its Fortran interface, OpenBLAS, pkg-config, git and Python 3.11 with venv, then run this again."
+        "Install gfortran, gcc, HDF5 with its Fortran interface, pkg-config, git and Python 3.11 with venv (for the tests LAPACK too)," \
+        "then run this again."
     done
     return 0
   fi

@@ -7,6 +7,7 @@
 #
 #   tools/test.sh [FILTER]     only Fortran cases whose name contains FILTER, no system tests
 set -uo pipefail
+castnet_test_packages=libopenblas-dev   # LAPACK for the references of some tests
 . "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
 cd "$castnet_root" || exit 1
 

@@ -7,7 +7,7 @@ module castnet_version
   use, intrinsic :: iso_fortran_env, only: compiler_version, compiler_options
   implicit none
   private
-  public :: version_number, git_commit, compiler_name, compiler_flags, build_profile, lapack_version
+  public :: version_number, git_commit, compiler_name, compiler_flags, build_profile
 
   character(len=*), parameter :: version_number = '0.1.0'
 
@@ -15,10 +15,6 @@ module castnet_version
   character(len=*), parameter :: archive_commit = '$Format:%H$'
 
   interface
-    !> LAPACK's own version.
-    subroutine ilaver(major, minor, patch)
-      integer, intent(out) :: major, minor, patch
-    end subroutine ilaver
     integer(c_int) function castnet_commit(text, room) bind(c, name='castnet_commit')
       import :: c_char, c_int
       character(kind=c_char), intent(out) :: text(*)
@@ -89,14 +85,5 @@ contains
       profile = 'debug'
     end if
   end function build_profile
-
-  function lapack_version() result(version)
-    character(len=:), allocatable :: version
-    character(len=32) :: buffer
-    integer :: major, minor, patch
-    call ilaver(major, minor, patch)
-    write (buffer, '(i0,a,i0,a,i0)') major, '.', minor, '.', patch
-    version = trim(buffer)
-  end function lapack_version
 
 end module castnet_version

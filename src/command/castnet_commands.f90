@@ -6,7 +6,6 @@ module castnet_commands
   use castnet_command_line, only: options_t, parse_command_line, process_arguments, help_text
   use castnet_error, only: error_t, fail, exit_done, exit_bug, exit_input
   use castnet_hdf5_version, only: hdf5_version
-  use castnet_posix, only: default_environment, path_kind, path_nothing
   use castnet_reference, only: reference_text, reference_markdown
   use castnet_run_command, only: run_file
   use castnet_scene_text, only: scene_template
@@ -14,7 +13,7 @@ module castnet_commands
   use castnet_terminal, only: say, tell
   use castnet_text, only: text_t
   use castnet_text_file, only: write_text_file
-  use castnet_version, only: version_number, git_commit, compiler_name, compiler_flags, build_profile, lapack_version
+  use castnet_version, only: version_number, git_commit, compiler_name, compiler_flags, build_profile
   implicit none
   private
   public :: run_command
@@ -25,7 +24,6 @@ contains
   integer function run_command() result(code)
     type(options_t) :: options
     type(error_t), allocatable :: error
-    call default_environment('OPENBLAS_NUM_THREADS', '1')
     call parse_command_line(process_arguments(), options, error)
     if (.not. allocated(error)) call dispatch(options, error)
     code = exit_done
@@ -92,7 +90,7 @@ contains
     call say('flags    '//compiler_flags())
     call say('profile  '//build_profile())
     call say('HDF5     '//hdf5_version())
-    call say('LAPACK   '//lapack_version())
+    call say('LAPACK   not used')
   end subroutine version
 
 end module castnet_commands

@@ -163,7 +163,7 @@ contains
                       low=1.0e-9_wp, high=1.0e3_wp, need='always')
       call t%word_key('impulses', g%impulses, 'push_only equality', &
                       'impulses may only push, or solve the paper''s equality', use=impulse_law)
-      call t%word_key('solver', g%solver, 'reduced dense', 'exact 6 x 6 form, or the dense matrix with LAPACK', use=impulse_law)
+      call t%word_key('solver', g%solver, 'reduced dense', 'exact 6 x 6 form, or the dense matrix by elimination', use=impulse_law)
       call t%real_key('stiffness', g%stiffness, 'N/m', 'of the compliant laws (hunt_crossley: N/m^1.5)', &
                       low=1.0e-6_wp, high=1.0e15_wp, need=compliant_law, use=compliant_law)
       call t%real_key('damping', g%damping, 'N s/m', 'of the compliant laws (hunt_crossley: s/m)', &

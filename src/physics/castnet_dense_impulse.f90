@@ -1,27 +1,16 @@
 !> The paper's own way (equations 13 to 17): build the dense matrix M of all contacts
-!> and let LAPACK solve M j = g. For comparison with the reduced form; it allocates
+!> and solve M j = g by elimination. For comparison with the reduced form; it allocates
 !> its matrix at every call and costs O(n^3).
 !>
 !> With `push_only` the complementarity problem is solved by block principal pivoting
 !> (Judice and Pires 1994), which ends for every symmetric positive definite M.
 module castnet_dense_impulse
-  use, intrinsic :: ieee_exceptions, only: ieee_all, ieee_get_halting_mode, ieee_set_halting_mode, ieee_set_flag
   use castnet_kinds, only: wp
   use castnet_contact_list, only: contact_list_t, body_inertia_t, shared_mobility
   use castnet_impulse_solver, only: impulse_problem_t, inverse_inertia_times, pad
   implicit none
   private
-  public :: solve_dense, delassus_matrix
-
-  interface
-    subroutine dgesv(n, nrhs, a, lda, ipiv, b, ldb, info)
-      import :: wp
-      integer, intent(in) :: n, nrhs, lda, ldb
-      real(wp), intent(inout) :: a(lda, *), b(ldb, *)
-      integer, intent(out) :: ipiv(*)
-      integer, intent(out) :: info
-    end subroutine dgesv
-  end interface
+  public :: solve_dense, delassus_matrix, solve_linear
 
 contains
 
@@ -46,7 +35,7 @@ contains
     end do
   end function delassus_matrix
 
-  !> Impulses of the whole list by dense algebra. `iterations` counts LAPACK solves.
+  !> Impulses of the whole list by dense algebra. `iterations` counts solves.
   subroutine solve_dense(problem, list, body, iterations, residual, converged)
     type(impulse_problem_t), intent(inout) :: problem
     type(contact_list_t), intent(in) :: list
@@ -113,25 +102,26 @@ contains
     logical, intent(in) :: chosen(:)
     real(wp), intent(inout) :: impulse(:)
     real(wp), allocatable :: a(:, :), b(:)
-    integer, allocatable :: set(:), pivot(:)
-    integer :: i, k, info
+    integer, allocatable :: set(:)
+    logical :: regular
+    integer :: i, k
     set = pack([(i, i=1, size(chosen))], chosen)
     k = size(set)
     impulse(1:size(chosen)) = 0.0_wp
     if (k == 0) return
-    allocate (a(k, k), b(k), pivot(k))
+    allocate (a(k, k), b(k))
     a(:, :) = m(set, set)
     b(:) = need(set)
-    call quiet_dgesv(k, a, pivot, b, info)
-    if (info /= 0) then
+    call solve_linear(k, a, b, regular)
+    if (.not. regular) then
       a(:, :) = m(set, set)
       b(:) = need(set)
       do i = 1, k
         a(i, i) = a(i, i)*(1.0_wp + 1.0e-13_wp)
       end do
-      call quiet_dgesv(k, a, pivot, b, info)
+      call solve_linear(k, a, b, regular)
     end if
-    if (info == 0) impulse(set) = b
+    if (regular) impulse(set) = b
   end subroutine solve_on
 
   subroutine slacks(m, impulse, need, slack)
@@ -144,20 +134,50 @@ contains
     end do
   end subroutine slacks
 
-  !> LAPACK may raise flags that the check build would halt on.
-  subroutine quiet_dgesv(n, a, pivot, b, info)
+  !> Solve A x = b by elimination with row exchanges, as LAPACK's dgesv does; column by
+  !> column, so that the inner loop runs along memory. Not regular: a pivot is zero or NaN,
+  !> and b has no meaning.
+  pure subroutine solve_linear(n, a, b, regular)
     integer, intent(in) :: n
-    real(wp), intent(inout) :: a(n, n), b(n)
-    integer, intent(out) :: pivot(n), info
-    logical :: halting(size(ieee_all))
-    real(wp) :: right(n, 1)
-    right(:, 1) = b
-    call ieee_get_halting_mode(ieee_all, halting)
-    call ieee_set_halting_mode(ieee_all, .false.)
-    call dgesv(n, 1, a, n, pivot, right, n, info)
-    call ieee_set_flag(ieee_all, .false.)
-    call ieee_set_halting_mode(ieee_all, halting)
-    b = right(:, 1)
-  end subroutine quiet_dgesv
+    real(wp), intent(inout) :: a(n, n)  !! the matrix; L and U on return
+    real(wp), intent(inout) :: b(n)     !! the right side; x on return
+    logical, intent(out) :: regular
+    integer :: pivot(n), j, k
+    regular = .false.
+    do j = 1, n
+      do k = 1, j - 1
+        call exchange_rows(n, k, pivot(k), a(:, j))
+      end do
+      do k = 1, j - 1
+        a(k + 1:n, j) = a(k + 1:n, j) - a(k, j)*a(k + 1:n, k)
+      end do
+      pivot(j) = j - 1 + maxloc(abs(a(j:n, j)), dim=1)
+      if (.not. abs(a(pivot(j), j)) > 0.0_wp) return
+      do k = 1, j
+        call exchange_rows(n, j, pivot(j), a(:, k))
+      end do
+      a(j + 1:n, j) = a(j + 1:n, j)/a(j, j)
+    end do
+    do k = 1, n
+      call exchange_rows(n, k, pivot(k), b)
+    end do
+    do k = 1, n
+      b(k + 1:n) = b(k + 1:n) - b(k)*a(k + 1:n, k)
+    end do
+    do k = n, 1, -1
+      b(k) = b(k)/a(k, k)
+      b(1:k - 1) = b(1:k - 1) - b(k)*a(1:k - 1, k)
+    end do
+    regular = .true.
+  end subroutine solve_linear
+
+  pure subroutine exchange_rows(n, i, k, column)
+    integer, intent(in) :: n, i, k
+    real(wp), intent(inout) :: column(n)
+    real(wp) :: held
+    held = column(i)
+    column(i) = column(k)
+    column(k) = held
+  end subroutine exchange_rows
 
 end module castnet_dense_impulse
