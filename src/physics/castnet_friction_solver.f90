@@ -20,6 +20,8 @@ module castnet_friction_solver
   integer, parameter :: max_correction = 3
   !> A solve with a larger residual has not converged, of the largest speed [-].
   real(wp), parameter :: accept_below = 1.0e-10_wp
+  !> Where Newton's method stalls at a residual below this it stalls in rounding, of the largest speed [-].
+  real(wp), parameter :: enough_below = 1.0e-12_wp
   !> Residual above which impulses that cancelled are corrected, of the largest speed [-].
   real(wp), parameter :: correct_above = 1.0e-13_wp
   !> Velocities are found to this part of the largest one [-].
@@ -36,16 +38,37 @@ contains
     real(wp), intent(out) :: residual
     logical, intent(out) :: converged
     real(wp), intent(out) :: twist(6)       !! change of the body's twist, inertial axes
-    real(wp) :: delta(6), largest, before
-    integer :: n_lane, k
+    real(wp) :: delta(6), largest
+    integer :: n_lane
+    logical :: found
     call pad(problem, n_lane)
     largest = largest_speed(problem)
     delta = 0.0_wp
     iterations = 0
-    if (body%free .and. largest > 0.0_wp) then
-      call newton(problem, body, n_lane, delta, iterations, converged)
-      if (.not. converged) call follow_path(problem, body, n_lane, delta, iterations)
+    found = .true.
+    if (body%free .and. largest > 0.0_wp) call newton(problem, body, n_lane, delta, iterations, found)
+    call settle(problem, body, n_lane, delta, largest, iterations, residual, twist)
+    if (.not. found .and. residual > enough_below*largest + rounding(problem, body)) then
+      ! Stalled, and not in rounding.
+      call follow_path(problem, body, n_lane, delta, iterations)
+      call settle(problem, body, n_lane, delta, largest, iterations, residual, twist)
     end if
+    ! The law decides, not the search: it may end in rounding and still be right.
+    converged = residual <= accept_below*largest + rounding(problem, body)
+  end subroutine solve_friction
+
+  !> The impulses at `delta`, corrected where rounding grew in them, and how far they are
+  !> from their law.
+  pure subroutine settle(problem, body, n_lane, delta, largest, iterations, residual, twist)
+    type(friction_problem_t), intent(inout) :: problem
+    type(body_inertia_t), intent(in) :: body
+    integer, intent(in) :: n_lane
+    real(wp), intent(in) :: delta(6), largest
+    integer, intent(inout) :: iterations
+    real(wp), intent(out) :: residual
+    real(wp), intent(out) :: twist(6)       !! change of the body's twist, inertial axes
+    real(wp) :: before
+    integer :: k
     call impulses_at(problem, delta)
     call measure_law(problem, body, twist, residual)
     do k = 1, max_correction
@@ -60,9 +83,7 @@ contains
       call measure_law(problem, body, twist, residual)
       exit
     end do
-    ! The law decides, not the search: it may end in rounding and still be right.
-    converged = residual <= accept_below*largest + rounding(problem, body)
-  end subroutine solve_friction
+  end subroutine settle
 
   !> What rounding of the impulses may leave of the law [m/s]: nothing to speak of, but for
   !> nodes some 1e4 times heavier than the body.
