@@ -6,7 +6,7 @@ module test_stable_step
   use castnet_model, only: model_t, method_rk4, method_midpoint
   use castnet_net, only: net_t
   use castnet_scene, only: scene_t
-  use castnet_stable_step, only: spectrum_t, net_spectrum, largest_stable_step, amplification
+  use castnet_stable_step, only: spectrum_t, spectrum_memory_t, net_spectrum, largest_stable_step, amplification
   use castnet_state, only: state_t
   use castnet_stepper, only: work_t
   use lapack_in_tests, only: symmetric_eigenvalues, spectral_radius
@@ -26,6 +26,7 @@ contains
     call test_case('stable_step: the paper''s nets have the frequencies of physics.md', paper_frequencies)
     call test_case('stable_step: bounds lie just above dense eigenvalues', dense_bounds)
     call test_case('stable_step: any shape of a net is covered without positions', any_shape)
+    call test_case('stable_step: what is remembered is what is computed', remembered)
     call test_case('stable_step: amplification is the spectral radius of a step', amplification_factors)
     call test_case('stable_step: below the limit every damped linear net is stable', safe_on_linear_nets)
     call test_case('stable_step: on taut nets the measured limit is theory''s', taut_nets)
@@ -196,6 +197,35 @@ contains
       call expect(bound%largest_damping_rate >= here%largest_damping_rate*(1.0_wp - 2.0e-4_wp), 'damping rate')
     end do
   end subroutine any_shape
+
+  !> Runs that share a net, and runs that do not: the same bits with a memory as without.
+  subroutine remembered()
+    type(model_t) :: model
+    type(state_t) :: state
+    type(spectrum_memory_t) :: memory
+    type(spectrum_t) :: here, again
+    integer :: seed, first, trial, method
+    first = 7
+    do trial = 1, 12
+      seed = first
+      call random_net(seed, 15, 25, model, state)
+      if (trial > 6) model%net%damping(trial) = 1.1_wp*model%net%damping(trial)
+      if (mod(trial, 3) == 0) first = seed
+      if (mod(trial, 4) == 0) then
+        call net_spectrum(model%net, here)
+        call net_spectrum(model%net, again, memory=memory)
+      else
+        call net_spectrum(model%net, here, state%node_position)
+        call net_spectrum(model%net, again, state%node_position, memory)
+      end if
+      call expect(.not. abs(here%highest_frequency - again%highest_frequency) > 0.0_wp, 'frequency')
+      call expect(.not. abs(here%largest_damping_rate - again%largest_damping_rate) > 0.0_wp, 'damping rate')
+      do method = 1, 2
+        call expect(.not. abs(largest_stable_step(methods(method), here) &
+                              - largest_stable_step(methods(method), here, memory)) > 0.0_wp, 'limit')
+      end do
+    end do
+  end subroutine remembered
 
   !> One linear mode x'' = -w^2 x - g x' (h = 1) by the definition of each method. rk4: the
   !> Taylor polynomial of degree 4 of [0 1; -w^2 -g]. midpoint, on (x, v, velocity ahead u):

@@ -14,13 +14,28 @@ module castnet_stable_step
   use castnet_net, only: net_t
   implicit none
   private
-  public :: spectrum_t, net_spectrum, widen_by_thread, largest_stable_step, amplification
+  public :: spectrum_t, spectrum_memory_t, net_spectrum, widen_by_thread, largest_stable_step, amplification
+
+  integer, parameter :: n_kept = 4   !! limits that are remembered: net, with its threads, with its contact
 
   !> Bounds of the taut net's modes.
   type :: spectrum_t
     real(wp) :: highest_frequency = 0.0_wp     !! undamped, of the taut net [rad/s]
     real(wp) :: largest_damping_rate = 0.0_wp  !! largest eigenvalue of M^-1 C [1/s]
   end type spectrum_t
+
+  !> What was found last, for runs one after the other that share a net (a study's cases):
+  !> with it they get the same bits for a comparison of the numbers. For one thread.
+  type :: spectrum_memory_t
+    private
+    integer, allocatable :: cable_nodes(:, :)
+    real(wp), allocatable :: number(:)         !! all others that the spectrum follows from
+    type(spectrum_t) :: spectrum
+    integer :: n_limit = 0
+    integer :: method(n_kept) = 0
+    type(spectrum_t) :: limit_of(n_kept)
+    real(wp) :: limit(n_kept) = 0.0_wp         !! [s]
+  end type spectrum_memory_t
 
   integer, parameter :: most_iterations = 300
   integer, parameter :: look_interval = 10     !! iterations between two looks at the Ritz value
@@ -31,10 +46,46 @@ contains
 
   !> Bounds for a net. `position`: a state in which the cables point as in the taut net
   !> (the stowed square net does); without it the bound for any shape.
-  subroutine net_spectrum(net, spectrum, position)
+  subroutine net_spectrum(net, spectrum, position, memory)
     type(net_t), intent(in) :: net
     type(spectrum_t), intent(out) :: spectrum
     real(wp), intent(in), optional :: position(:, :)   !! (>=n_node,3) [m]
+    type(spectrum_memory_t), intent(inout), optional :: memory
+    logical :: known
+
+    known = .false.
+    if (present(memory)) call recall_net(memory, net, position, known)
+    if (known) then
+      spectrum = memory%spectrum
+    else
+      call find_spectrum(net, spectrum, position)
+      if (present(memory)) memory%spectrum = spectrum
+    end if
+  end subroutine net_spectrum
+
+  !> Is this the net of the memory? If not, it is from now on.
+  subroutine recall_net(memory, net, position, known)
+    type(spectrum_memory_t), intent(inout) :: memory
+    type(net_t), intent(in) :: net
+    real(wp), intent(in), optional :: position(:, :)
+    logical, intent(out) :: known
+    real(wp), allocatable :: number(:)
+    number = [net%axial_stiffness, net%natural_length, net%damping, net%inverse_mass(:net%n_node)]
+    if (present(position)) number = [number, reshape(position(:net%n_node, :), [3*net%n_node])]
+    known = .false.
+    if (allocated(memory%number)) known = size(number) == size(memory%number) &
+        .and. size(net%cable_nodes) == size(memory%cable_nodes)
+    if (known) known = all(net%cable_nodes == memory%cable_nodes) .and. .not. any(abs(number - memory%number) > 0.0_wp)
+    if (known) return
+    memory%cable_nodes = net%cable_nodes
+    call move_alloc(number, memory%number)
+  end subroutine recall_net
+
+  !> The spectrum by computation.
+  subroutine find_spectrum(net, spectrum, position)
+    type(net_t), intent(in) :: net
+    type(spectrum_t), intent(out) :: spectrum
+    real(wp), intent(in), optional :: position(:, :)
     real(wp), allocatable :: direction(:, :), weight(:)
     real(wp) :: d(3), length
     integer :: e
@@ -53,7 +104,7 @@ contains
     weight = net%axial_stiffness/net%natural_length
     spectrum%highest_frequency = sqrt(largest_eigenvalue(net, direction, weight))
     if (any(net%damping > 0.0_wp)) spectrum%largest_damping_rate = largest_eigenvalue(net, direction, net%damping)
-  end subroutine net_spectrum
+  end subroutine find_spectrum
 
   !> The same bounds with the closing threads pulling: each adds k_t g g^T to K and
   !> c_t g g^T to C, which couples all nodes of a side. Largest eigenvalues of sums are at
@@ -233,7 +284,33 @@ contains
   end function largest_tridiagonal
 
   !> The largest h at which the method damps every mode of the spectrum; huge: no limit.
-  pure real(wp) function largest_stable_step(method, spectrum) result(h)
+  real(wp) function largest_stable_step(method, spectrum, memory) result(h)
+    integer, intent(in) :: method
+    type(spectrum_t), intent(in) :: spectrum
+    type(spectrum_memory_t), intent(inout), optional :: memory
+    integer :: k
+
+    if (present(memory)) then
+      do k = 1, min(memory%n_limit, n_kept)
+        associate (of => memory%limit_of(k))
+          if (memory%method(k) /= method .or. abs(of%highest_frequency - spectrum%highest_frequency) > 0.0_wp &
+              .or. abs(of%largest_damping_rate - spectrum%largest_damping_rate) > 0.0_wp) cycle
+        end associate
+        h = memory%limit(k)
+        return
+      end do
+    end if
+    h = find_limit(method, spectrum)
+    if (.not. present(memory)) return
+    k = modulo(memory%n_limit, n_kept) + 1
+    memory%n_limit = memory%n_limit + 1
+    memory%method(k) = method
+    memory%limit_of(k) = spectrum
+    memory%limit(k) = h
+  end function largest_stable_step
+
+  !> The same by computation.
+  pure real(wp) function find_limit(method, spectrum) result(h)
     integer, intent(in) :: method
     type(spectrum_t), intent(in) :: spectrum
     real(wp) :: low, high
@@ -258,7 +335,7 @@ contains
       end if
     end do
     h = low
-  end function largest_stable_step
+  end function find_limit
 
   !> Are all modes up to the spectrum's corner stable at h?
   pure logical function all_stable(method, spectrum, h)

@@ -12,7 +12,7 @@ module castnet_setup
   use castnet_perturb, only: perturbation_t
   use castnet_rotation, only: rotation_matrix, multiply_transposed
   use castnet_scene, only: scene_t
-  use castnet_stable_step, only: spectrum_t, net_spectrum, widen_by_thread, largest_stable_step
+  use castnet_stable_step, only: spectrum_t, spectrum_memory_t, net_spectrum, widen_by_thread, largest_stable_step
   use castnet_shape, only: shape_bounding_radius, signed_distance
   use castnet_state, only: state_t
   use castnet_stepper, only: work_t, new_work
@@ -48,7 +48,7 @@ module castnet_setup
 contains
 
   !> Build a run. Errors: what the builder refuses, a step above the limit.
-  subroutine set_up(scene, n_thread, file_net, model, state, work, report, error)
+  subroutine set_up(scene, n_thread, file_net, model, state, work, report, error, memory)
     type(scene_t), intent(in) :: scene
     integer, intent(in) :: n_thread
     type(file_net_t), allocatable, intent(inout) :: file_net
@@ -57,10 +57,11 @@ contains
     type(work_t), intent(out) :: work
     type(step_report_t), intent(out) :: report
     type(error_t), allocatable, intent(inout) :: error
+    type(spectrum_memory_t), intent(inout), optional :: memory !! of runs before this one
 
     call build_model(scene, file_net, model, state, error)
     if (allocated(error)) return
-    call choose_step(scene, model, state, report, error)
+    call choose_step(scene, model, state, report, error, memory)
     if (allocated(error)) return
     call find_overlap(model, state, report)
     model%step = report%step
@@ -74,12 +75,13 @@ contains
   !> The step: the scene's own, refused above the limit (or warned of), or 0.7 of the
   !> limit and at most a tenth of the threshold ('midpoint': one threshold) per step at
   !> the bullets' speed.
-  subroutine choose_step(scene, model, state, report, error)
+  subroutine choose_step(scene, model, state, report, error, memory)
     type(scene_t), intent(in) :: scene
     type(model_t), intent(in) :: model
     type(state_t), intent(in) :: state
     type(step_report_t), intent(out) :: report
     type(error_t), allocatable, intent(inout) :: error
+    type(spectrum_memory_t), intent(inout), optional :: memory
     type(perturbation_t) :: nominal
     type(net_t) :: net
     real(wp), allocatable :: position(:, :), velocity(:, :)
@@ -92,18 +94,18 @@ contains
       if (scene%net%kind == 'square') then
         ! Directions of the taut net are those of the stowed one, without its perturbation.
         call build_square_net(scene%net, scene%bullets, nominal, net, position, velocity)
-        call net_spectrum(model%net, report%spectrum, position)
+        call net_spectrum(model%net, report%spectrum, position, memory)
       else
-        call net_spectrum(model%net, report%spectrum)
+        call net_spectrum(model%net, report%spectrum, memory=memory)
       end if
-      report%stable_limit = largest_stable_step(model%method, report%spectrum)
+      report%stable_limit = largest_stable_step(model%method, report%spectrum, memory)
       ! The largest damping ratio of the net's own modes, near enough: threads do not damp them.
       if (report%spectrum%highest_frequency > 0.0_wp) &
         ratio = 0.5_wp*report%spectrum%largest_damping_rate/report%spectrum%highest_frequency
       if (allocated(model%closing)) then
         net_limit = report%stable_limit
         call widen_by_thread(report%spectrum, model%closing, model%net)
-        report%stable_limit = largest_stable_step(model%method, report%spectrum)
+        report%stable_limit = largest_stable_step(model%method, report%spectrum, memory)
         !$omp critical (castnet_text)
         thread = ' with its closing thread (without it '//to_text(net_limit)//' s)'
         !$omp end critical (castnet_text)
@@ -111,7 +113,7 @@ contains
       if (is_compliant(model)) then
         net_limit = report%stable_limit
         call widen_by_contact(report%spectrum, scene, model, state)
-        report%stable_limit = largest_stable_step(model%method, report%spectrum)
+        report%stable_limit = largest_stable_step(model%method, report%spectrum, memory)
         !$omp critical (castnet_text)
         thread = thread//' with the springs of its contact (without them '//to_text(net_limit)//' s)'
         !$omp end critical (castnet_text)

@@ -12,6 +12,7 @@ module castnet_simulation
   use castnet_record, only: deployment_t, history_row_t, summary_t, thresholds_t, verdict_captured
   use castnet_scene, only: scene_t
   use castnet_setup, only: step_report_t, set_up
+  use castnet_stable_step, only: spectrum_memory_t
   use castnet_state, only: state_t, tally_t
   use castnet_stepper, only: work_t, advance, meet, settle
   use, intrinsic :: ieee_arithmetic, only: ieee_value, ieee_quiet_nan
@@ -44,16 +45,17 @@ module castnet_simulation
 contains
 
   !> Set up a run at t = 0. Errors: those of `set_up`.
-  subroutine start(sim, scene, n_thread, file_net, error, resumed)
+  subroutine start(sim, scene, n_thread, file_net, error, resumed, memory)
     type(simulation_t), intent(out) :: sim
     type(scene_t), intent(in) :: scene
     integer, intent(in) :: n_thread
     type(file_net_t), allocatable, intent(inout) :: file_net
     type(error_t), allocatable, intent(inout) :: error
     type(state_t), intent(in), optional :: resumed !! go on from this state instead of t = 0
+    type(spectrum_memory_t), intent(inout), optional :: memory !! of this thread's runs before
     integer(i8) :: taken
 
-    call set_up(scene, n_thread, file_net, sim%model, sim%state, sim%work, sim%report, error)
+    call set_up(scene, n_thread, file_net, sim%model, sim%state, sim%work, sim%report, error, memory)
     if (allocated(error)) return
     ! At most one observation a step.
     sim%frame_interval = max(scene%output%frame_interval, sim%model%step)

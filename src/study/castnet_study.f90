@@ -13,6 +13,7 @@ module castnet_study
   use castnet_scene, only: scene_t
   use castnet_scene_files, only: text_contents, data_contents
   use castnet_signals, only: install_signal_handlers, stop_request_code
+  use castnet_stable_step, only: spectrum_memory_t
   use castnet_study_case, only: case_setting_t, run_case, run_file, has_run_file, expected_run_bytes
   use castnet_study_design, only: new_design
   use castnet_study_journal, only: journal_t, open_journal, append_case, sync_journal, read_journal, study_identity
@@ -21,6 +22,7 @@ module castnet_study
   use castnet_study_result, only: make_table, columns
   use castnet_study_search, only: sampler_t, search_result_t, find_threshold, find_optimum
   use castnet_text, only: to_text, byte_text, text_t, without_extension
+  use omp_lib, only: omp_get_thread_num
   implicit none
   private
   public :: study_options_t, run_study, collect_study, journal_path
@@ -43,6 +45,7 @@ module castnet_study
     type(journal_t) :: journal
     type(log_t) :: log
     type(case_row_t), allocatable :: rows(:)      !! by case number
+    type(spectrum_memory_t), allocatable :: memory(:) !! of each thread
     real(wp) :: began = 0.0_wp
     integer(i8) :: done = 0, wanted = 0
     integer(i8) :: next_case = 1                  !! of a search
@@ -122,7 +125,7 @@ contains
     batch%options = options
     batch%log = log
     batch%began = wall_seconds()
-    allocate (batch%rows(0))
+    allocate (batch%rows(0), batch%memory(max(1, options%threads)))
     call new_design(batch%setting%design, request, error)
   end subroutine prepare
 
@@ -457,13 +460,13 @@ contains
 
     synced = wall_seconds()
     !$omp parallel do default(shared) private(i, row, finished, stop_now, problem) schedule(dynamic, 1) &
-    !$omp   num_threads(max(1, batch%options%threads))
+    !$omp   num_threads(size(batch%memory))
     do i = 1, size(cases)
       !$omp critical (castnet_text)
       stop_now = allocated(batch%error) .or. batch%stop_code /= exit_done
       !$omp end critical (castnet_text)
       if (stop_now) cycle
-      call run_case(batch%setting, cases(i), values(i), row, finished, problem)
+      call run_case(batch%setting, batch%memory(omp_get_thread_num() + 1), cases(i), values(i), row, finished, problem)
       !$omp critical (castnet_text)
       if (allocated(problem)) then
         if (.not. allocated(batch%error)) call move_alloc(problem, batch%error)

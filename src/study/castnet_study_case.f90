@@ -25,6 +25,7 @@ module castnet_study_case
   use castnet_setup, only: overlap_words
   use castnet_signals, only: stop_request_code
   use castnet_simulation, only: simulation_t, due_t, start, run_to_next, is_finished, take_measures, frame_taken, summarise
+  use castnet_stable_step, only: spectrum_memory_t
   use castnet_study_design, only: design_t, case_point, case_values, case_seed
   use castnet_study_record, only: case_row_t, case_done, case_invalid, case_failed
   use castnet_study_request, only: study_request_t, is_search
@@ -49,8 +50,9 @@ contains
 
   !> One capture from a case's number to its row. `finished` is false when a signal came.
   !> Errors: exit_file, of the run's own file alone; a case that fails is a row.
-  subroutine run_case(setting, case, value, row, finished, error)
+  subroutine run_case(setting, memory, case, value, row, finished, error)
     type(case_setting_t), intent(in) :: setting
+    type(spectrum_memory_t), intent(inout) :: memory !! of this thread's cases before
     integer(i8), intent(in) :: case
     real(wp), intent(in) :: value              !! of the searched key
     type(case_row_t), intent(out) :: row
@@ -64,7 +66,7 @@ contains
     real(wp) :: spin_before, max_tension
 
     finished = .true.
-    call start_case(setting, case, value, row, scene, sim, problem)
+    call start_case(setting, memory, case, value, row, scene, sim, problem)
     if (allocated(problem)) then
       call refuse(row, case_invalid, problem)
       return
@@ -89,8 +91,9 @@ contains
 
   !> From a case's number to a run at t = 0. A net that starts inside the target is refused:
   !> where a single run warns, no one reads the warnings of thousands.
-  subroutine start_case(setting, case, value, row, scene, sim, problem)
+  subroutine start_case(setting, memory, case, value, row, scene, sim, problem)
     type(case_setting_t), intent(in) :: setting
+    type(spectrum_memory_t), intent(inout) :: memory
     integer(i8), intent(in) :: case
     real(wp), intent(in) :: value
     type(case_row_t), intent(out) :: row
@@ -106,7 +109,7 @@ contains
     call set_case(setting, case, value, row, scene, problem)
     if (.not. allocated(problem)) call load_scene_net(scene, file_net, problem)
     !$omp end critical (castnet_text)
-    if (.not. allocated(problem)) call start(sim, scene, 1, file_net, problem)
+    if (.not. allocated(problem)) call start(sim, scene, 1, file_net, problem, memory=memory)
     if (allocated(problem) .or. sim%report%overlap_node == 0) return
     !$omp critical (castnet_text)
     call fail(problem, exit_input, overlap_words(sim%report))
@@ -293,8 +296,9 @@ contains
     type(simulation_t) :: sim
     type(run_writer_t) :: writer
     type(error_t), allocatable :: problem
+    type(spectrum_memory_t) :: memory
     bytes = 0
-    call start_case(setting, case, value, row, scene, sim, problem)
+    call start_case(setting, memory, case, value, row, scene, sim, problem)
     if (allocated(problem)) return
     call open_run_file(setting, case, scene, sim, writer, error)
     if (allocated(error)) return
