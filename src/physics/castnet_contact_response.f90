@@ -20,7 +20,8 @@ module castnet_contact_response
   use castnet_friction_problem, only: friction_problem_t, reserve_friction
   use castnet_friction_solver, only: solve_friction
   use castnet_coupled_friction, only: coupled_work_t, newton_work_t, reserve_coupled, solve_coupled_friction
-  use castnet_coupled_solver, only: group_work_t, reserve_groups, solve_coupled, shares_nodes
+  use castnet_contact_groups, only: contact_groups_t, reserve_groups, find_groups
+  use castnet_coupled_solver, only: coupled_solver_t, reserve_coupled_solver, solve_coupled
   use castnet_dense_impulse, only: solve_dense
   use castnet_contact_projection, only: set_depths, mass_of
   implicit none
@@ -37,9 +38,10 @@ module castnet_contact_response
   type :: contact_solver_t
     type(impulse_problem_t) :: normal      !! without friction; also the projection's
     type(friction_problem_t) :: friction
-    type(coupled_work_t) :: coupled        !! contacts that share nodes, with friction
+    type(coupled_solver_t) :: pivoting     !! contacts that share nodes, without friction
+    type(coupled_work_t) :: coupled        !! contacts that share nodes, with
     type(newton_work_t) :: newton          !! its Newton steps
-    type(group_work_t) :: groups           !! contacts that share nodes, without
+    type(contact_groups_t) :: groups       !! of the present list, where they may be coupled
     logical :: coupled_contacts = .false.  !! of the present list: nodes are shared
   end type contact_solver_t
 
@@ -54,7 +56,9 @@ contains
     call reserve_problem(solver%normal, list%capacity)
     if (contact%friction > 0.0_wp) call reserve_friction(solver%friction, list%capacity)
     if (contact%friction > 0.0_wp .and. contact%detect_cables) call reserve_coupled(solver%coupled, list%capacity, n_node)
-    if (contact%detect_cables) call reserve_groups(solver%groups, list%capacity, n_node)
+    if (.not. contact%detect_cables) return
+    call reserve_groups(solver%groups, list%capacity, n_node)
+    call reserve_coupled_solver(solver%pivoting, list%capacity, n_node)
   end subroutine reserve_solver
 
   !> Impulses of every contact, into `list%impulse` and `list%friction_impulse`, and the
@@ -71,7 +75,11 @@ contains
     call reserve_solver(solver, list, maxval(max(list%node_a(1:list%n), list%node_b(1:list%n))), contact)
     call set_rows(list, solver%normal)
     solver%coupled_contacts = .false.
-    if (contact%detect_cables) call shares_nodes(list, solver%groups, solver%coupled_contacts)
+    if (contact%detect_cables) then
+      ! For every solve of this list, the projection's too.
+      call find_groups(list, solver%groups)
+      solver%coupled_contacts = solver%groups%n_group < list%n
+    end if
     call attempt(contact, body, list, solver, contact%restitution, report, work)
     if (report%energy_loss >= -energy_rounding*work .and. (report%converged .or. nearly_solved(list, solver, report))) return
     high = contact%restitution
@@ -207,7 +215,10 @@ contains
       return
     end if
     call reserve_coupled(solver%coupled, list%capacity, maxval(max(list%node_a(1:list%n), list%node_b(1:list%n))))
-    call reserve_groups(solver%groups, list%capacity, maxval(max(list%node_a(1:list%n), list%node_b(1:list%n))))
+    if (.not. solver%coupled_contacts) then
+      call reserve_groups(solver%groups, list%capacity, maxval(max(list%node_a(1:list%n), list%node_b(1:list%n))))
+      call find_groups(list, solver%groups)
+    end if
     call solve_coupled_friction(solver%friction, list, body, solver%coupled, solver%groups, solver%newton, report%iterations, &
                                 report%residual, report%converged, report%twist)
   end subroutine solve_tangential
@@ -236,7 +247,7 @@ contains
       go_dense = dense .or. has_fixed_point(problem)
       if (.not. go_dense) then
         if (solver%coupled_contacts) then
-          call solve_coupled(problem, list, body, solver%groups, iterations, residual, converged)
+          call solve_coupled(problem, list, solver%groups, body, solver%pivoting, iterations, residual, converged)
           call pad(problem, n_lane)
         else
           call solve_reduced(problem, body, iterations, residual, converged)

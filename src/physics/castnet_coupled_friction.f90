@@ -18,7 +18,7 @@
 module castnet_coupled_friction
   use castnet_kinds, only: wp
   use castnet_contact_list, only: contact_list_t, body_inertia_t, shared_mobility
-  use castnet_coupled_solver, only: group_work_t, find_groups, find_envelope
+  use castnet_contact_groups, only: contact_groups_t
   use castnet_friction_problem, only: friction_problem_t, cone_impulse, cone_derivative
   use castnet_six_by_six, only: solve_general
   implicit none
@@ -108,7 +108,7 @@ contains
     type(contact_list_t), intent(in) :: list
     type(body_inertia_t), intent(in) :: body
     type(coupled_work_t), intent(inout) :: work
-    type(group_work_t), intent(inout) :: groups
+    type(contact_groups_t), intent(in) :: groups
     type(newton_work_t), intent(inout) :: dense
     integer, intent(out) :: iterations
     real(wp), intent(out) :: residual   !! [m/s]
@@ -118,8 +118,6 @@ contains
     integer :: try
     call number_nodes(list, work)
     call set_mobilities(problem, list, body, work, largest)
-    call find_groups(list, groups)
-    call find_envelope(list, groups)
     call reserve_newton(dense, list%n, widest(groups, list%n))
     iterations = 0
     do try = 1, max_try
@@ -163,7 +161,7 @@ contains
 
   !> Half the band of the widest group, in contacts.
   pure integer function widest(groups, n)
-    type(group_work_t), intent(in) :: groups
+    type(contact_groups_t), intent(in) :: groups
     integer, intent(in) :: n
     integer :: p
     widest = 0
@@ -305,7 +303,7 @@ contains
     type(contact_list_t), intent(in) :: list
     type(body_inertia_t), intent(in) :: body
     type(coupled_work_t), intent(inout) :: work
-    type(group_work_t), intent(in) :: groups
+    type(contact_groups_t), intent(in) :: groups
     type(newton_work_t), intent(inout) :: dense
     real(wp), intent(in) :: epsilon_at_first, largest
     real(wp), intent(inout) :: twist(6)
@@ -373,7 +371,7 @@ contains
     type(contact_list_t), intent(in) :: list
     type(body_inertia_t), intent(in) :: body
     type(coupled_work_t), intent(in) :: work
-    type(group_work_t), intent(in) :: groups
+    type(contact_groups_t), intent(in) :: groups
     type(newton_work_t), intent(inout) :: dense
     real(wp), intent(in) :: twist(6), epsilon
     logical, intent(out) :: ok
@@ -441,7 +439,7 @@ contains
   pure subroutine fill_band(list, work, groups, slope, first, last, epsilon, half, b)
     type(contact_list_t), intent(in) :: list
     type(coupled_work_t), intent(in) :: work
-    type(group_work_t), intent(in) :: groups
+    type(contact_groups_t), intent(in) :: groups
     real(wp), intent(in) :: slope(:, :, :), epsilon
     integer, intent(in) :: first, last, half
     real(wp), intent(inout) :: b(3*half + 1, *)
@@ -545,7 +543,7 @@ contains
   pure subroutine add_body(list, body, groups, m, right, ok)
     type(contact_list_t), intent(in) :: list
     type(body_inertia_t), intent(in) :: body
-    type(group_work_t), intent(in) :: groups
+    type(contact_groups_t), intent(in) :: groups
     integer, intent(in) :: m
     real(wp), intent(inout) :: right(m, 7)
     logical, intent(out) :: ok
