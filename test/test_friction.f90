@@ -65,7 +65,7 @@ contains
   end function violation
 
   pure function cross3(a, b) result(c)
-    real(wp), intent(in) :: a(3), b(3)
+    real(wp), intent(in) :: a(:), b(:)
     real(wp) :: c(3)
     c = [a(2)*b(3) - a(3)*b(2), a(3)*b(1) - a(1)*b(3), a(1)*b(2) - a(2)*b(1)]
   end function cross3

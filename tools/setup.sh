@@ -102,6 +102,19 @@ commit_flags() {
   printf '%s' "-O2${commit:+ -DCASTNET_COMMIT=$commit}"
 }
 
+# Build the Fortran tests and say where they are: built_tests PROFILE FLAGS C_FLAGS
+built_tests() {
+  local log
+  log=$(mktemp)
+  fpm test --target unit --profile "$1" --flag "$2" --c-flag "$3" --runner echo </dev/null >"$log" 2>&1 || {
+    tail -40 "$log" >&2
+    rm -f "$log"
+    lacking "the build of the tests ($1) failed; the compiler's words stand above."
+  }
+  grep -E '/test/unit *$' "$log" | tail -1 | tr -d ' '
+  rm -f "$log"
+}
+
 # Build the program of the covered check build, set $castnet_checked to it.
 build_checked() {
   local flags log

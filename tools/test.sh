@@ -12,64 +12,88 @@ castnet_test_packages=libopenblas-dev   # LAPACK for the references of some test
 cd "$castnet_root" || exit 1
 
 filter=${1:-}
-passed=0
-failed=0
-log=$(mktemp)
+work=$(mktemp -d)
+groups=0                 # that should come to an end
 
 # Whatever happens, the sum is the last line; an end before the end is a failure.
-finished=
 finish() {
-  rm -f "$log"
-  [ -n "$finished" ] || failed=$((failed + 1))
-  printf '\n%d passed, %d failed\n' $passed $failed
-  [ $failed -eq 0 ] && [ $passed -gt 0 ]
+  local counts=(0 0 0)
+  touch "$work/counts"
+  read -r -a counts < <(awk '{ n++; p += $1; f += $2 } END { print n + 0, p + 0, f + 0 }' "$work/counts")
+  if [ "${counts[0]}" -ne $groups ] || [ $groups -eq 0 ]; then
+    echo "only ${counts[0]} of $groups groups of tests came to their end"
+    counts[2]=$((counts[2] + 1))
+  fi
+  rm -rf "$work"
+  printf '\n%d passed, %d failed\n' "${counts[1]}" "${counts[2]}"
+  [ "${counts[2]}" -eq 0 ] && [ "${counts[1]}" -gt 0 ]
   exit $?
 }
 trap finish EXIT
 
-# Run one group of tests and add its last line to the sum. A group that ends without
-# that line, or ends badly without owning up to a failure, counts as one failure.
+# Run one group of tests, print what it said in one piece, and add its last line to the
+# counts. A group that ends without that line, or ends badly without owning up to a
+# failure, counts as one failure.
 run_group() {
-  local name=$1 status line seconds=$SECONDS
+  local name=$1 status line log passed=0 failed=0 seconds=$SECONDS
   shift
-  printf '\n== %s\n' "$name"
+  log=$(mktemp -p "$work")
   "$@" </dev/null >"$log" 2>&1
   status=$?
-  cat "$log"
   line=$(grep -aEo '^[0-9]+ passed, [0-9]+ failed$' "$log" | tail -1)
   if [ -z "$line" ]; then
-    echo "$name: ended with exit code $status and without its counts"
-    failed=$((failed + 1))
+    echo "$name: ended with exit code $status and without its counts" >>"$log"
+    failed=1
   else
-    passed=$((passed + ${line%% *}))
+    passed=${line%% *}
     line=${line#*, }
-    if [ "${line%% *}" -eq 0 ] && [ $status -ne 0 ]; then
-      echo "$name: exit code $status although no test failed"
-      failed=$((failed + 1))
-    else
-      failed=$((failed + ${line%% *}))
+    failed=${line%% *}
+    if [ "$failed" -eq 0 ] && [ $status -ne 0 ]; then
+      echo "$name: exit code $status although no test failed" >>"$log"
+      failed=1
     fi
   fi
-  echo "== $name: $((SECONDS - seconds)) s"
+  {
+    flock 9
+    printf '\n== %s\n' "$name"
+    cat "$log"
+    echo "== $name: $((SECONDS - seconds)) s"
+    echo "$passed $failed" >>"$work/counts"
+  } 9>"$work/lock"
 }
 
 # Old counts of lines belong to an old build.
 rm -f build/*/castnet/*.gcda
-run_group "Fortran tests, check build" \
-  fpm test --target unit --profile debug --flag "$(covered_check_flags)" --c-flag "$covered_c_flags" ${filter:+-- "$filter"}
-run_group "Fortran tests, release build" \
-  fpm test --target unit --profile release --flag "$(release_flags)" --c-flag "$(commit_flags)" ${filter:+-- "$filter"}
+build_castnet
+unit=$(built_tests release "$(release_flags)" "$(commit_flags)") || exit 1
+if [ -z "$filter" ]; then build_checked; fi
+unit_checked=$(built_tests debug "$(covered_check_flags)" "$covered_c_flags") || exit 1
+
+# Two rows of groups side by side, one for each core; all is built by now (but what the last
+# of the first row needs: fpm would not bear two builds at once).
+checked=(test_cli test_study test_accuracy)
+groups=2
 if [ -z "$filter" ]; then
-  build_castnet
-  for script in test/system/*.py; do
-    run_group "$script" "$castnet_python" "$script" "$castnet"
-  done
-  # Commands and refusals once more with everything trapped and every line counted.
-  build_checked
-  for script in test_cli test_study test_accuracy; do
-    run_group "$script.py, check build" "$castnet_python" test/system/$script.py "$castnet_checked"
-  done
-  run_group "Line coverage of src" "$castnet_python" tools/coverage.py
-  run_group "Instructions a cable" "$castnet_python" tools/bench/instructions.py
+  scripts=(test/system/*.py)
+  groups=$((groups + ${#checked[@]} + ${#scripts[@]} + 2))
 fi
-finished=yes
+{
+  run_group "Fortran tests, check build" "$unit_checked" ${filter:+"$filter"}
+  if [ -z "$filter" ]; then
+    # Commands and refusals once more with everything trapped and every line counted.
+    for script in "${checked[@]}"; do
+      run_group "$script.py, check build" "$castnet_python" test/system/$script.py "$castnet_checked"
+    done
+    run_group "Line coverage of src" "$castnet_python" tools/coverage.py
+    run_group "Instructions a cable" "$castnet_python" tools/bench/instructions.py
+  fi
+} &
+{
+  run_group "Fortran tests, release build" "$unit" ${filter:+"$filter"}
+  if [ -z "$filter" ]; then
+    for script in "${scripts[@]}"; do
+      run_group "$script" "$castnet_python" "$script" "$castnet"
+    done
+  fi
+} &
+wait

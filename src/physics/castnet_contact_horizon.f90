@@ -56,7 +56,7 @@ contains
         do i = 1, net%n_cable
           a = net%cable_nodes(1, i)
           b = net%cable_nodes(2, i)
-          gap = distance_to_segment(centre, x(a, :), x(b, :)) - radius
+          gap = distance_to_segment(centre, [x(a, 1), x(a, 2), x(a, 3)], [x(b, 1), x(b, 2), x(b, 3)]) - radius
           reach = speed + sqrt(2.0_wp*energy*max(net%inverse_mass(a), net%inverse_mass(b)))
           wait = min(wait, time_to_cover(gap, reach, length(offset)))
         end do
