@@ -1,5 +1,7 @@
 !> Benchmarks, driven by tools/bench. One line of results each; arguments:
-!>   kernel SQUARES METHOD [THREADS] [shuffled]   nanoseconds per node and step, no contact
+!>   kernel SQUARES METHOD [THREADS] [KIND]       nanoseconds per node and step, no contact; a digest of
+!>                                                the bits reached; cables. KIND: shuffled, holes, hexagonal,
+!>                                                radial: nets as files may hold them, about as large
 !>   steps SQUARES METHOD N                       so many steps and no timing, for instruction counts
 !>   capture SCENE [group/key=value ...]          a whole run without files, stage by stage
 !>   memory SQUARES                               a few steps of a large net, bytes per node
@@ -9,7 +11,8 @@ program bench
   use castnet_kinds, only: wp, i8
   use castnet_error, only: error_t
   use castnet_model, only: model_t
-  use castnet_model_builder, only: file_net_t, build_model
+  use castnet_model_builder, only: file_net_t
+  use castnet_integrator, only: new_flow_work
   use castnet_net_builder, only: finish_net
   use castnet_scene, only: scene_t
   use castnet_scene_file, only: read_scene
@@ -20,7 +23,8 @@ program bench
   use castnet_state, only: state_t
   use castnet_stepper, only: work_t, advance, settle
   use castnet_text, only: text_t
-  use scenes, only: shot, random_numbers
+  use bench_nets, only: general_net
+  use scenes, only: shot
   implicit none
   character(len=256) :: mode
   logical :: on_threads = .false.
@@ -38,7 +42,7 @@ program bench
   case ('contact')
     call time_contacts()
   case default
-    print '(a)', 'bench kernel SQUARES METHOD [THREADS] [shuffled] | steps SQUARES METHOD N | '// &
+    print '(a)', 'bench kernel SQUARES METHOD [THREADS] [KIND] | steps SQUARES METHOD N | '// &
       'capture SCENE [group/key=value ...] | memory SQUARES | contact'
   end select
 
@@ -96,9 +100,11 @@ contains
     call get_command_argument(5, how)
     on_threads = whole(4, 1) > 1
     call large_shot(whole(2, 20), method, scene)
-    if (how == 'shuffled') call shuffle(scene, net)
-    call set_up(scene, whole(4, 1), net, model, state, work, report, error)
+    if (len_trim(how) > 0) call general_net(trim(how), whole(2, 20), scene, net)
+    call set_up(scene, 1, net, model, state, work, report, error)
     call stop_on(error)
+    ! Threads as asked for, however small the net.
+    if (on_threads) call new_flow_work(work%flow, model, whole(4, 1))
     n_step = max(4, 1000000/model%net%n_node)
     best = huge(1.0_wp)
     do k = 1, 12
@@ -109,8 +115,8 @@ contains
       best = min(best, (seconds() - t0)/n_step/model%net%n_node*1.0e9_wp)
     end do
     call settle(model, state, work)
-    print '(a,1x,i0,1x,a,1x,f0.3,1x,es23.15)', 'kernel', model%net%n_node, trim(method), best, &
-      sum(state%node_position(:model%net%n_node, 1))
+    print '(a,1x,i0,1x,a,1x,f0.3,1x,z16.16,1x,i0)', 'kernel', model%net%n_node, trim(method), best, &
+      digest(state%node_position(:model%net%n_node, :)), model%net%n_cable
   end subroutine time_kernel
 
   subroutine take_steps()
@@ -132,60 +138,17 @@ contains
     end do
   end subroutine take_steps
 
-  !> The same net as it would come from a file, nodes and cables in random order.
-  subroutine shuffle(scene, file)
-    type(scene_t), intent(inout) :: scene
-    type(file_net_t), allocatable, intent(out) :: file
-    type(model_t) :: model
-    type(state_t) :: state
-    type(file_net_t), allocatable :: none
-    type(error_t), allocatable :: error
-    integer, allocatable :: node(:), cable(:)
-    integer :: n, m, seed
-    call build_model(scene, none, model, state, error)
-    call stop_on(error)
-    n = model%net%n_node
-    m = model%net%n_cable
-    seed = 12345
-    node = permutation(n, seed)
-    cable = permutation(m, seed)
-    allocate (file)
-    associate (net => file%net, old => model%net)
-      net%n_node = n
-      net%n_cable = m
-      allocate (net%node_mass(n), net%fixed(n), net%is_bullet(n), net%cable_nodes(2, m), net%natural_length(m), &
-                net%axial_stiffness(m), net%damping(m), file%position(3, n), file%velocity(3, n), net%faces(4, 0))
-      allocate (net%bullet_nodes(0), net%perimeter_nodes(0), net%corner_nodes(0))
-      net%node_mass(node) = old%node_mass
-      net%fixed = .false.
-      net%is_bullet = .false.
-      file%position(:, node) = transpose(state%node_position(:n, :))
-      file%velocity(:, node) = transpose(state%node_velocity(:n, :))
-      net%cable_nodes(1, cable) = node(old%cable_nodes(1, :))
-      net%cable_nodes(2, cable) = node(old%cable_nodes(2, :))
-      net%natural_length(cable) = old%natural_length
-      net%axial_stiffness(cable) = old%axial_stiffness
-      net%damping(cable) = old%damping
-    end associate
-    call finish_net(file%net)
-    scene%net%kind = 'file'
-    scene%time%allow_unstable = .true.   ! the bound for any shape is lower
-    deallocate (scene%bullets)
-  end subroutine shuffle
-
-  function permutation(n, seed) result(p)
-    integer, intent(in) :: n
-    integer, intent(inout) :: seed
-    integer, allocatable :: p(:)
-    real(wp) :: r(1)
-    integer :: i, j, k
-    p = [(i, i=1, n)]
-    do i = n, 2, -1
-      call random_numbers(seed, r)
-      j = min(i, 1 + int(0.5_wp*(r(1) + 1.0_wp)*i))
-      k = p(i); p(i) = p(j); p(j) = k
+  !> Any change of any bit shows.
+  integer(i8) function digest(x)
+    real(wp), intent(in) :: x(:, :)
+    integer :: i, c
+    digest = 0
+    do c = 1, size(x, 2)
+      do i = 1, size(x, 1)
+        digest = ieor(ishftc(digest, 7), transfer(x(i, c), digest))
+      end do
     end do
-  end function permutation
+  end function digest
 
   !> Everything of a run but its files: set-up, steps, rows, frames' guards, verdicts.
   subroutine time_capture()

@@ -17,6 +17,7 @@ contains
 
   subroutine run_test_renumber()
     call test_case('renumber: a shuffled square net runs along diagonals again', lattice)
+    call test_case('renumber: with cables missing here and there too', holes)
     call test_case('renumber: numbers and arrays come back as they were', round_trip)
     call test_case('renumber: a ring of odd length and a lone node are left whole', no_lattice)
     call test_case('renumber: a shuffled net flies as the square one does', same_flight)
@@ -87,6 +88,32 @@ contains
     call expect(model%net%plan%n_loose <= 4, 'renumbered: only corner cables are loose')
     call expect(model%net%plan%n_diagonal == 2, 'renumbered: two diagonals')
   end subroutine lattice
+
+  !> Every fiftieth cable of the shuffled net is gone.
+  subroutine holes()
+    type(model_t) :: model
+    type(state_t) :: state
+    integer, allocatable :: node(:), kept(:)
+    real(wp), allocatable :: x(:, :), v(:, :)
+    integer :: c
+    call shuffled(model, state, node)
+    associate (net => model%net)
+      ! The bullets' cables stay: without them a bullet would be a lone node.
+      kept = pack([(c, c=1, net%n_cable)], [(modulo(c, 50) /= 7 .or. any(net%is_bullet(net%cable_nodes(:, c))), c=1, net%n_cable)])
+      net%n_cable = size(kept)
+      net%cable_nodes = net%cable_nodes(:, kept)
+      net%natural_length = net%natural_length(kept)
+      net%axial_stiffness = net%axial_stiffness(kept)
+      net%damping = net%damping(kept)
+    end associate
+    call finish_net(model%net)
+    x = state%node_position(:model%net%n_node, :)
+    v = state%node_velocity(:model%net%n_node, :)
+    call renumber_net(model%net, x, v)
+    call finish_net(model%net)
+    call expect(model%net%plan%n_loose <= 4, 'only corner cables are loose')
+    call expect(model%net%plan%n_diagonal == 2, 'two diagonals')
+  end subroutine holes
 
   subroutine round_trip()
     type(model_t) :: model

@@ -62,15 +62,15 @@ contains
   end subroutine test_trigonometry
 
   subroutine test_cubesat()
-    call expect_bits(cubesat, 'cubesat', (-1715008788292889276_int64))
+    call expect_bits(cubesat, 'cubesat', (-8177825430880983482_int64))
   end subroutine test_cubesat
 
   subroutine test_rocket()
-    call expect_bits(rocket, 'rocket', 2461952669109090958_int64)
+    call expect_bits(rocket, 'rocket', (-3108386609937686823_int64))
   end subroutine test_rocket
 
   subroutine test_closing()
-    call expect_bits(closing, 'closing', 7664604736270588062_int64)
+    call expect_bits(closing, 'closing', (-6503815362887959657_int64))
   end subroutine test_closing
 
   subroutine expect_bits(text, name, expected)

@@ -2,8 +2,9 @@
 !>
 !> The kernel is fastest where cables join node a to node a + a constant (castnet_cable_plan).
 !> So a net of squares gets its lattice back: integer coordinates spread from one mesh
-!> square over the others, two rules at a time: the fourth corner of a square is p + w - r,
-!> and of two cables at a node that share no square one goes on where the other came from.
+!> square over the others by two rules. The fourth corner of a square is p + w - r; and
+!> only where no square helps any further (cables are missing), of two cables at a node
+!> that share no square one goes on where the other came from.
 !> Nodes are then numbered row by row. What is no lattice is numbered breadth first, which
 !> at least keeps neighbours close. This is an order only: nothing depends on its being
 !> right but the speed.
@@ -127,7 +128,7 @@ contains
     integer, intent(out) :: at(2, n), placed
     integer, allocatable :: queue(:)
     logical, allocatable :: queued(:)
-    integer :: p, q, k, l, head, tail, corner(4), ring, place(2)
+    integer :: p, k, head, tail, corner(4), ring, before
     placed = 0
     at = unknown
     call first_square(n, start, neighbour, corner)
@@ -145,25 +146,42 @@ contains
     queued(corner) = .true.
     head = 0
     tail = 4
-    do while (head /= tail)
-      p = queue(head)
-      head = modulo(head + 1, ring + 1)
-      queued(p) = .false.
-      do k = start(p), start(p + 1) - 1
-        q = neighbour(k)
-        if (at(1, q) /= unknown) cycle
-        call place_neighbour(p, q, start, neighbour, at, place)
-        if (place(1) == unknown) cycle
-        at(:, q) = place
-        placed = placed + 1
-        call enqueue(q)
-        do l = start(q), start(q + 1) - 1
-          if (at(1, neighbour(l)) /= unknown) call enqueue(neighbour(l))
+    do
+      do while (head /= tail)
+        p = queue(head)
+        head = modulo(head + 1, ring + 1)
+        queued(p) = .false.
+        do k = start(p), start(p + 1) - 1
+          call try(p, neighbour(k), .false.)
         end do
       end do
+      before = placed
+      do p = 1, n
+        if (at(1, p) == unknown) cycle
+        do k = start(p), start(p + 1) - 1
+          call try(p, neighbour(k), .true.)
+        end do
+      end do
+      if (placed == before) exit
     end do
 
   contains
+
+    !> Place q, a neighbour of the placed node p, if its place is known.
+    subroutine try(p, q, straight)
+      integer, intent(in) :: p, q
+      logical, intent(in) :: straight  !! by the second rule
+      integer :: l, place(2)
+      if (at(1, q) /= unknown) return
+      call place_neighbour(p, q, start, neighbour, at, straight, place)
+      if (place(1) == unknown) return
+      at(:, q) = place
+      placed = placed + 1
+      call enqueue(q)
+      do l = start(q), start(q + 1) - 1
+        if (at(1, neighbour(l)) /= unknown) call enqueue(neighbour(l))
+      end do
+    end subroutine try
 
     subroutine enqueue(node)
       integer, intent(in) :: node
@@ -175,27 +193,37 @@ contains
 
   end subroutine find_lattice
 
-  !> Coordinates of q, a neighbour of the placed node p; `unknown` if neither rule speaks.
-  subroutine place_neighbour(p, q, start, neighbour, at, place)
+  !> Coordinates of q, a neighbour of the placed node p; `unknown` if the rule does not speak
+  !> or not clearly.
+  subroutine place_neighbour(p, q, start, neighbour, at, straight, place)
     integer, intent(in) :: p, q, start(:), neighbour(:), at(:, :)
+    logical, intent(in) :: straight    !! the second rule, else the first
     integer, intent(out) :: place(2)
-    integer :: k, r, w, straight(2)
+    integer :: k, r, w, n_straight
     logical :: in_square
     place = unknown
-    straight = unknown
+    n_straight = 0
     in_square = .false.
     do k = start(p), start(p + 1) - 1
       r = neighbour(k)
       if (r == q .or. at(1, r) == unknown) cycle
       w = fourth_corner(p, r, q, start, neighbour, at)
-      if (w == 0) then
-        straight = 2*at(:, p) - at(:, r)
-      else
+      if (w > 0) then
         in_square = .true.
-        if (at(1, w) /= unknown) place = at(:, p) + at(:, w) - at(:, r)
+        if (straight .or. at(1, w) == unknown) cycle
+        place = at(:, p) + at(:, w) - at(:, r)
+      else if (straight) then
+        n_straight = n_straight + 1
+        place = 2*at(:, p) - at(:, r)
       end if
     end do
-    if (place(1) == unknown .and. in_square) place = straight
+    if (place(1) == unknown) return
+    if (straight) then
+      if (n_straight /= 1 .or. .not. in_square) place = unknown
+      do k = start(p), start(p + 1) - 1
+        if (all(at(:, neighbour(k)) == place)) place = unknown
+      end do
+    end if
     if (place(1) == unknown) return
     if (sum(abs(place - at(:, p))) /= 1) place = unknown
   end subroutine place_neighbour

@@ -107,7 +107,7 @@ contains
     real(wp), intent(in) :: h !! [s]
     real(wp) :: d(3)
     step_error = 0.0_wp
-    if (allocated(model%net)) step_error = largest_difference(model%net%n_pad, model%net%n_node, work%va, state%node_velocity)
+    if (allocated(model%net)) step_error = largest_difference(model%net%n_pad, model%net%n_node, work%vc, state%node_velocity)
     if (allocated(model%target)) then
       if (.not. model%target%fixed) then
         d = work%body_stage%velocity - state%target%velocity

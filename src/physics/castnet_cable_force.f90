@@ -1,10 +1,13 @@
 !> Cable tensions and the forces that they put on the nodes.
 !>
 !> A sweep runs through the nodes in chunks that fit the first cache. For each chunk:
-!> tensions of the cables that begin in it, then the force on its nodes, then the
-!> stage update of the integrator. Sums are taken in one fixed order, so the bits do
+!> tensions of the cables that begin in it, then force on its nodes and the stage update
+!> of the integrator in one loop. Sums are taken in one fixed order, so the bits do
 !> not depend on the number of threads: chunks are the same whoever works on them,
 !> and a thread's range first recomputes the few cables that reach in from before.
+!>
+!> Forces of cables are kept for a window of nodes only, as long as the longest cable
+!> reaches and a few chunks more: they never leave the second cache, whatever the net's size.
 !>
 !> The loops are free of branches (`merge`, `max`), so that the compiler turns each of
 !> them into full-width vector code under the release flags.
@@ -13,22 +16,29 @@ module castnet_cable_force
   use castnet_cable_plan, only: cable_plan_t
   implicit none
   private
-  public :: slab_t, chunk_size, new_slabs, slab_halo, chunk_cables, chunk_force, loose_cables, sum_in_order, survey_cables
+  public :: slab_t, chunk_size, new_slabs, slab_halo, chunk_cables, chunk_rest, loose_cables, sum_in_order, survey_cables
 
   integer, parameter :: chunk_size = 128  !! nodes; all of a chunk's data stay in the first cache
   integer, parameter :: lanes = 8         !! partial sums of a fixed-order sum
   integer, parameter :: n_full = 2        !! diagonals that every node has room for: all those of a square net
+  integer, parameter :: window = 4*chunk_size !! nodes that a slab's forces move on by
   real(wp), parameter :: smallest_square = 1.0e-60_wp !! keeps the reciprocal of a length finite [m2]
 
   !> A range of nodes that one thread works on, with the forces of its cables on their
-  !> first ends. The first two diagonals have a row for every node, zero where no cable
-  !> begins, which saves the kernel all comparisons. Other nets may have hundreds of short
-  !> diagonals: those have rows for their cables only.
+  !> first ends. The first two diagonals have a row for every node of the window, zero where
+  !> no cable begins, which saves the kernel all comparisons. Other nets may have hundreds of
+  !> short diagonals: those have rows for their cables only.
   type :: slab_t
     integer :: first = 1, last = 0          !! nodes; first is at the start of a chunk
-    real(wp), allocatable :: force(:, :, :) !! (first-reach:last,3,2) of cable (a, a+offset) [N]
+    integer :: reach = 0                    !! longest offset of the full diagonals
+    integer :: offset(n_full) = 0           !! of the full diagonals; 0 where there is none
+    integer :: shift = 0                    !! node i is row i - shift of the window
+    logical :: moves = .false.              !! the window is shorter than the slab
+    real(wp), allocatable :: force(:, :, :) !! (window,3,2) of cable (a, a+offset) [N]
     integer, allocatable :: base(:)         !! (n_diagonal) from the third on, the cable from a is row base + a of
     real(wp), allocatable :: rest(:, :)     !! (:,3) [N]
+    integer, allocatable :: loose_from(:)   !! (chunks + 1) where a chunk's nodes begin in the plan's loose_node
+    real(wp), allocatable :: other(:, :)    !! (chunk_size,3) scratch: forces on a chunk's nodes besides the full diagonals' [N]
   end type slab_t
 
 contains
@@ -38,18 +48,23 @@ contains
     type(slab_t), allocatable, intent(out) :: slabs(:)
     type(cable_plan_t), intent(in) :: plan
     integer, intent(in) :: n_node, n_slab
-    integer :: n_chunk, s, used, d, begin, finish, rows, reach
+    integer :: n_chunk, s, used, d, begin, finish, rows, full
 
-    reach = 0
-    if (plan%n_diagonal > 0) reach = maxval(plan%offset(:min(n_full, plan%n_diagonal)))
+    full = min(n_full, plan%n_diagonal)
     n_chunk = (n_node + chunk_size - 1)/chunk_size
     used = max(1, min(n_slab, n_chunk))
     allocate (slabs(used))
     do s = 1, used
       slabs(s)%first = int(int(n_chunk, 8)*(s - 1)/used)*chunk_size + 1
       slabs(s)%last = min(n_node, int(int(n_chunk, 8)*s/used)*chunk_size)
-      allocate (slabs(s)%force(slabs(s)%first - reach:slabs(s)%last, 3, min(n_full, plan%n_diagonal)), source=0.0_wp)
+      slabs(s)%offset(:full) = plan%offset(:full)
+      slabs(s)%reach = maxval(slabs(s)%offset)
+      slabs(s)%moves = slabs(s)%last - slabs(s)%first + 1 > window
+      slabs(s)%shift = slabs(s)%first - 1 - rows_before(slabs(s))
+      allocate (slabs(s)%other(chunk_size, 3), source=0.0_wp)
+      allocate (slabs(s)%force(rows_before(slabs(s)) + window, 3, n_full), source=0.0_wp)
       allocate (slabs(s)%base(plan%n_diagonal), source=0)
+      call find_loose(slabs(s), plan)
       rows = 0
       do d = n_full + 1, plan%n_diagonal
         begin = max(plan%first(d), slabs(s)%first - plan%offset(d))
@@ -61,7 +76,47 @@ contains
     end do
   end subroutine new_slabs
 
-  !> Cables that begin before the slab and may end in it.
+  !> Where the loose cables' nodes of each chunk begin.
+  subroutine find_loose(slab, plan)
+    type(slab_t), intent(inout) :: slab
+    type(cable_plan_t), intent(in) :: plan
+    integer :: chunk, j
+    allocate (slab%loose_from((slab%last - slab%first + chunk_size)/chunk_size + 1))
+    j = 1
+    do chunk = 1, size(slab%loose_from)
+      do while (j <= plan%n_loose_node)
+        if (plan%loose_node(j) >= slab%first + (chunk - 1)*chunk_size) exit
+        j = j + 1
+      end do
+      slab%loose_from(chunk) = j
+    end do
+  end subroutine find_loose
+
+  !> Rows of the window before its first chunk: the reach, in whole cache lines.
+  pure integer function rows_before(slab)
+    type(slab_t), intent(in) :: slab
+    rows_before = lanes*((slab%reach + lanes - 1)/lanes)
+  end function rows_before
+
+  !> Make room for the chunk that begins at node `begin`: keep what reaches into it.
+  subroutine move_window(slab, begin)
+    type(slab_t), intent(inout) :: slab
+    integer, intent(in) :: begin
+    integer :: rows, by, c, d, k
+    rows = rows_before(slab)
+    if (begin + chunk_size - 1 - slab%shift <= rows + window) return
+    by = begin - 1 - rows - slab%shift
+    do d = 1, n_full
+      do c = 1, 3
+        do k = 1, rows
+          slab%force(k, c, d) = slab%force(k + by, c, d)
+        end do
+      end do
+    end do
+    slab%shift = slab%shift + by
+  end subroutine move_window
+
+  !> Start a sweep: the window at the slab's start, with the cables that begin before it and may end in it.
   subroutine slab_halo(plan, slab, n_pad, x, v, floor_tension)
     type(cable_plan_t), intent(in) :: plan
     type(slab_t), intent(inout) :: slab
@@ -71,6 +126,11 @@ contains
     real(wp) :: power(chunk_size)
     integer :: d, begin, finish, a
 
+
+    if (slab%moves) then
+      slab%shift = slab%first - 1 - rows_before(slab)
+      slab%force(:rows_before(slab), :, :) = 0.0_wp
+    end if
     do d = 1, plan%n_diagonal
       begin = max(slab%first - plan%offset(d), plan%first(d))
       finish = min(slab%first - 1, plan%last(d))
@@ -95,12 +155,17 @@ contains
     integer :: d, lo, hi, k
 
     total = 0.0_wp
+    if (slab%moves) call move_window(slab, begin)
     do d = 1, plan%n_diagonal
       lo = max(begin, plan%first(d))
       hi = min(finish, plan%last(d))
+      if (d <= n_full .and. slab%moves) then      ! else these rows never were anything but zero
+        if (lo > begin) slab%force(begin - slab%shift:min(lo - 1, finish) - slab%shift, :, d) = 0.0_wp
+        if (hi < finish) slab%force(max(hi + 1, begin) - slab%shift:finish - slab%shift, :, d) = 0.0_wp
+      end if
       if (hi < lo) cycle
       call diagonal_cables(hi - lo + 1, lo, d, plan, slab, n_pad, x, v, floor_tension, p)
-      p(hi - lo + 2:) = 0.0_wp
+      if (hi - lo + 1 < chunk_size) p(hi - lo + 2:) = 0.0_wp
       do k = 1, chunk_size, lanes
         total = total + p(k:k + lanes - 1)
       end do
@@ -122,10 +187,11 @@ contains
     slot = plan%start(d) + a - plan%first(d)
     b = a + plan%offset(d)
     if (d <= n_full) then
+      row = a - slab%shift
       call strided_tension(m, x(a, 1), x(a, 2), x(a, 3), x(b, 1), x(b, 2), x(b, 3), &
                            v(a, 1), v(a, 2), v(a, 3), v(b, 1), v(b, 2), v(b, 3), &
                            plan%stiffness(slot), plan%natural_length(slot), plan%applied_damping(slot), floor_tension, &
-                           slab%force(a, 1, d), slab%force(a, 2, d), slab%force(a, 3, d), power)
+                           slab%force(row, 1, d), slab%force(row, 2, d), slab%force(row, 3, d), power)
     else
       row = slab%base(d) + a
       call strided_tension(m, x(a, 1), x(a, 2), x(a, 3), x(b, 1), x(b, 2), x(b, 3), &
@@ -148,16 +214,16 @@ contains
     real(wp), intent(in) :: floor_tension
     real(wp), intent(out) :: fx(m), fy(m), fz(m)  !! force on the first end [N]
     real(wp), intent(out) :: power(m)             !! dissipated [W]
-    real(wp) :: dx, dy, dz, square, inverse, rate, spring, tension, stretch
+    real(wp) :: dx, dy, dz, length, inverse, rate, spring, tension, stretch
     integer :: k
 
     do k = 1, m
       dx = bx(k) - ax(k)
       dy = by(k) - ay(k)
       dz = bz(k) - az(k)
-      square = max(dx*dx + (dy*dy + dz*dz), smallest_square)
-      inverse = 1.0_wp/sqrt(square)
-      stretch = square*inverse - natural_length(k)
+      length = sqrt(max(dx*dx + (dy*dy + dz*dz), smallest_square))
+      inverse = 1.0_wp/length
+      stretch = length - natural_length(k)
       rate = (dx*(bu(k) - au(k)) + (dy*(bv(k) - av(k)) + dz*(bw(k) - aw(k))))*inverse
       spring = stiffness(k)*stretch
       tension = merge(max(floor_tension, spring + damping(k)*rate), 0.0_wp, stretch > 0.0_wp)
@@ -178,7 +244,7 @@ contains
     real(wp), intent(in) :: floor_tension
     real(wp), intent(inout) :: force(plan%n_loose, 3)  !! on the first end [N]
     real(wp), intent(inout) :: power(plan%n_loose)     !! dissipated [W]
-    real(wp) :: dx, dy, dz, square, inverse, rate, spring, tension, stretch
+    real(wp) :: dx, dy, dz, length, inverse, rate, spring, tension, stretch
     integer :: k, a, b, slot
 
     do k = first, last
@@ -188,9 +254,9 @@ contains
       dx = x(b, 1) - x(a, 1)
       dy = x(b, 2) - x(a, 2)
       dz = x(b, 3) - x(a, 3)
-      square = max(dx*dx + (dy*dy + dz*dz), smallest_square)
-      inverse = 1.0_wp/sqrt(square)
-      stretch = square*inverse - plan%natural_length(slot)
+      length = sqrt(max(dx*dx + (dy*dy + dz*dz), smallest_square))
+      inverse = 1.0_wp/length
+      stretch = length - plan%natural_length(slot)
       rate = (dx*(v(b, 1) - v(a, 1)) + (dy*(v(b, 2) - v(a, 2)) + dz*(v(b, 3) - v(a, 3))))*inverse
       spring = plan%stiffness(slot)*stretch
       tension = merge(max(floor_tension, spring + plan%applied_damping(slot)*rate), 0.0_wp, stretch > 0.0_wp)
@@ -279,67 +345,41 @@ contains
     end do
   end subroutine survey_chunk
 
-  !> Force on the nodes begin..finish from all their cables: diagonals in their order,
-  !> then loose cables in slot order.
-  subroutine chunk_force(plan, slab, begin, finish, loose_force, force)
+  !> Force on the nodes begin..finish from cables that are in neither of the two full
+  !> diagonals: further diagonals in their order, then loose cables in slot order. `rest` is
+  !> zero where there are none; so it is not written again while it stays so (`clean`).
+  subroutine chunk_rest(plan, slab, begin, finish, loose_force, rest, clean)
     type(cable_plan_t), intent(in) :: plan
     type(slab_t), intent(in) :: slab
     integer, intent(in) :: begin, finish
     real(wp), intent(in) :: loose_force(plan%n_loose, 3)
-    real(wp), intent(out) :: force(chunk_size, 3) !! [N]
-    integer :: c, d, m, o, lo, hi
+    real(wp), intent(inout) :: rest(chunk_size, 3) !! [N]
+    logical, intent(inout) :: clean
+    integer :: c, d, o, lo, hi
 
-    m = finish - begin + 1
-    do c = 1, 3
-      select case (plan%n_diagonal)
-      case (0)
-        force(:m, c) = 0.0_wp
-      case (1)
-        call one_difference(m, slab%force(begin, c, 1), slab%force(begin - plan%offset(1), c, 1), force(1, c))
-      case default
-        call two_differences(m, slab%force(begin, c, 1), slab%force(begin - plan%offset(1), c, 1), &
-                             slab%force(begin, c, 2), slab%force(begin - plan%offset(2), c, 2), force(1, c))
-      end select
-    end do
+    if (.not. clean) rest = 0.0_wp
+    clean = .true.
     do d = n_full + 1, plan%n_diagonal
       if (begin > plan%last(d) + plan%offset(d) .or. finish < plan%first(d)) cycle
+      clean = .false.
       lo = max(begin, plan%first(d))
       hi = min(finish, plan%last(d))
       do c = 1, 3
-        if (hi >= lo) call add(hi - lo + 1, slab%rest(slab%base(d) + lo, c), force(lo - begin + 1, c))
+        if (hi >= lo) call add(hi - lo + 1, slab%rest(slab%base(d) + lo, c), rest(lo - begin + 1, c))
       end do
       o = plan%offset(d)
       lo = max(begin, plan%first(d) + o)
       hi = min(finish, plan%last(d) + o)
       do c = 1, 3
-        if (hi >= lo) call subtract(hi - lo + 1, slab%rest(slab%base(d) + lo - o, c), force(lo - begin + 1, c))
+        if (hi >= lo) call subtract(hi - lo + 1, slab%rest(slab%base(d) + lo - o, c), rest(lo - begin + 1, c))
       end do
     end do
-    if (plan%n_loose > 0) call add_loose(plan, begin, finish, loose_force, force)
-  end subroutine chunk_force
-
-  !> total = away - back: cables that begin here pull forward, those that end here pull
-  !> back. Where no cable begins or ends, the stored force is zero.
-  pure subroutine one_difference(m, away, back, total)
-    integer, intent(in) :: m
-    real(wp), intent(in) :: away(m), back(m)
-    real(wp), intent(out) :: total(m)
-    integer :: k
-    do k = 1, m
-      total(k) = away(k) - back(k)
-    end do
-  end subroutine one_difference
-
-  !> total = (away - back) of two diagonals.
-  pure subroutine two_differences(m, away1, back1, away2, back2, total)
-    integer, intent(in) :: m
-    real(wp), intent(in) :: away1(m), back1(m), away2(m), back2(m)
-    real(wp), intent(out) :: total(m)
-    integer :: k
-    do k = 1, m
-      total(k) = (away1(k) - back1(k)) + (away2(k) - back2(k))
-    end do
-  end subroutine two_differences
+    associate (chunk => (begin - slab%first)/chunk_size + 1)
+      if (slab%loose_from(chunk) == slab%loose_from(chunk + 1)) return
+      clean = .false.
+      call add_loose(plan, slab%loose_from(chunk), slab%loose_from(chunk + 1) - 1, begin, loose_force, rest)
+    end associate
+  end subroutine chunk_rest
 
   !> total = total + away: cables that begin here.
   pure subroutine add(m, away, total)
@@ -363,27 +403,16 @@ contains
     end do
   end subroutine subtract
 
-  !> The loose cables' share of the force on nodes begin..finish.
-  subroutine add_loose(plan, begin, finish, loose_force, force)
+  !> The loose cables' share of the force on loose nodes low..high, in the chunk from `begin`.
+  subroutine add_loose(plan, low, high, begin, loose_force, force)
     type(cable_plan_t), intent(in) :: plan
-    integer, intent(in) :: begin, finish
+    integer, intent(in) :: low, high, begin
     real(wp), intent(in) :: loose_force(plan%n_loose, 3)
     real(wp), intent(inout) :: force(chunk_size, 3)
     real(wp) :: fx, fy, fz, towards
-    integer :: j, p, k, i, low, high, middle
+    integer :: j, p, k, i
 
-    low = 1                         ! bisection for the first loose node at or after begin
-    high = plan%n_loose_node + 1
-    do while (low < high)
-      middle = (low + high)/2
-      if (plan%loose_node(middle) < begin) then
-        low = middle + 1
-      else
-        high = middle
-      end if
-    end do
-    do j = low, plan%n_loose_node
-      if (plan%loose_node(j) > finish) exit
+    do j = low, high
       i = plan%loose_node(j) - begin + 1
       fx = force(i, 1)
       fy = force(i, 2)

@@ -5,12 +5,12 @@
 !> through `gather_extra_force` (compliant contact); impulses come after the step.
 module castnet_integrator
   use castnet_kinds, only: wp
-  use castnet_model, only: model_t, method_adaptive
+  use castnet_model, only: model_t, method_adaptive, method_midpoint
   use castnet_net, only: net_t
   use castnet_state, only: state_t, body_state_t
   use castnet_body_dynamics, only: body_rate_t, body_rate, body_advance, body_rk4, body_alone, body_kick, &
                                    orbital_acceleration
-  use castnet_cable_force, only: slab_t, chunk_size, new_slabs, slab_halo, chunk_cables, chunk_force, &
+  use castnet_cable_force, only: slab_t, chunk_size, new_slabs, slab_halo, chunk_cables, chunk_rest, &
                                  loose_cables, sum_in_order
   use castnet_closing_thread, only: impulse_work
   use castnet_extra_force, only: has_extra_force, gather_extra_force
@@ -34,8 +34,8 @@ module castnet_integrator
   !> Scratch of the integrator, allocated once.
   type :: flow_work_t
     type(cable_work_t) :: cables
-    real(wp), allocatable :: xa(:, :), va(:, :), xb(:, :), vb(:, :) !! (n_pad,3) stage states
-    real(wp), allocatable :: sum_x(:, :), sum_v(:, :)               !! (n_pad,3) weighted slopes of rk4
+    real(wp), allocatable :: xa(:, :), xb(:, :)                     !! (n_pad,3) stage positions
+    real(wp), allocatable :: va(:, :), vb(:, :), vc(:, :)           !! (n_pad,3) stage velocities: rk4's second, third, fourth
     real(wp), allocatable :: start_x(:, :), start_v(:, :)           !! (n_pad,3) where a step began, 'adaptive' only
     type(body_state_t) :: body_stage               !! the target at the last stage of rk4
     real(wp) :: body_force(3) = 0.0_wp             !! on the target besides external_force, inertial [N]
@@ -47,10 +47,9 @@ module castnet_integrator
   real(wp), parameter :: extrapolation = 0.4_wp    !! see midpoint_damping
 
   !> What a sweep does with the accelerations a of its nodes.
-  integer, parameter :: stage_first = 1   !! rk4: slopes begin, out = x + h v
-  integer, parameter :: stage_middle = 2  !! rk4: slopes add twice, out = x0 + h v
-  integer, parameter :: stage_last = 3    !! rk4: x0 = x0 + h (slopes + this one)
-  integer, parameter :: stage_kick = 4    !! midpoint: v0 = v0 + h a, out = the next midpoint
+  integer, parameter :: stage_inner = 1   !! rk4: out = x0 + h v, v0 + h a
+  integer, parameter :: stage_last = 2    !! rk4: the step's end from the velocities of all stages
+  integer, parameter :: stage_kick = 3    !! midpoint: v0 = v0 + h a, out = the next midpoint
 
 contains
 
@@ -73,13 +72,15 @@ contains
     if (any(model%gravity /= 0.0_wp) .or. model%orbit_rate /= 0.0_wp) work%cables%weight = 1.0_wp
     if (has_extra_force(model)) allocate (work%cables%extra(n, 3), source=0.0_wp)
     if (allocated(model%closing)) allocate (work%cables%thread_impulse(n, 3), source=0.0_wp)
-    allocate (work%xa(n, 3), work%va(n, 3), work%xb(n, 3), work%vb(n, 3), source=0.0_wp)
-    allocate (work%sum_x(n, 3), work%sum_v(n, 3), source=0.0_wp)
+    allocate (work%xa(n, 3), work%xb(n, 3), work%vb(n, 3), source=0.0_wp)
+    if (model%method /= method_midpoint) allocate (work%va(n, 3), work%vc(n, 3), source=0.0_wp)
     if (model%method == method_adaptive) allocate (work%start_x(n, 3), work%start_v(n, 3), source=0.0_wp)
   end subroutine new_flow_work
 
-  !> Classical Runge-Kutta of order 4 for net and target together. The velocities at the last
-  !> stage stay in work%va and work%body_stage: castnet_adaptive finds the step's error in them.
+  !> Classical Runge-Kutta of order 4 for net and target together. No slopes are added up:
+  !> the step's end follows from the velocities of the stages and the last acceleration
+  !> (update_last), which saves a third of the memory traffic. The velocities at the last
+  !> stage stay in work%vc and work%body_stage: castnet_adaptive finds the step's error in them.
   subroutine rk4_step(model, state, work, h)
     type(model_t), intent(in) :: model
     type(state_t), intent(inout) :: state
@@ -104,28 +105,28 @@ contains
         body, state%closing, work%cables%extra, work%body_force, work%body_torque, h/6.0_wp, work%cables%thread_impulse, &
         state%ledger)
     if (moves) k(1) = body_rate(model, body, work%body_force, work%body_torque)
-    if (has_net) call sweep(model, work%cables, stage_first, n, 0.5_wp*h, state%node_position, state%node_velocity, &
-        work%xb, work%vb, work%xa, work%va, work%sum_x, work%sum_v, power(:, 1))
+    if (has_net) call sweep(model, work%cables, stage_inner, n, 0.5_wp*h, state%node_position, state%node_velocity, &
+        state%node_position, state%node_velocity, work%xa, work%va, power(:, 1))
 
     if (moves) body = body_advance(state%target, k(1), 0.5_wp*h)
     if (allocated(work%cables%extra)) call gather_extra_force(model, n, work%xa, work%va, &
         body, state%closing, work%cables%extra, work%body_force, work%body_torque, h/3.0_wp, work%cables%thread_impulse, &
         state%ledger)
     if (moves) k(2) = body_rate(model, body, work%body_force, work%body_torque)
-    if (has_net) call sweep(model, work%cables, stage_middle, n, 0.5_wp*h, work%xa, work%va, &
-        state%node_position, state%node_velocity, work%xb, work%vb, work%sum_x, work%sum_v, power(:, 2))
+    if (has_net) call sweep(model, work%cables, stage_inner, n, 0.5_wp*h, work%xa, work%va, &
+        state%node_position, state%node_velocity, work%xb, work%vb, power(:, 2))
 
     if (moves) body = body_advance(state%target, k(2), 0.5_wp*h)
     if (allocated(work%cables%extra)) call gather_extra_force(model, n, work%xb, work%vb, &
         body, state%closing, work%cables%extra, work%body_force, work%body_torque, h/3.0_wp, work%cables%thread_impulse, &
         state%ledger)
     if (moves) k(3) = body_rate(model, body, work%body_force, work%body_torque)
-    if (has_net) call sweep(model, work%cables, stage_middle, n, h, work%xb, work%vb, &
-        state%node_position, state%node_velocity, work%xa, work%va, work%sum_x, work%sum_v, power(:, 3))
+    if (has_net) call sweep(model, work%cables, stage_inner, n, h, work%xb, work%vb, &
+        state%node_position, state%node_velocity, work%xa, work%vc, power(:, 3))
 
     if (moves) body = body_advance(state%target, k(3), h)
     if (moves) work%body_stage = body
-    if (allocated(work%cables%extra)) call gather_extra_force(model, n, work%xa, work%va, &
+    if (allocated(work%cables%extra)) call gather_extra_force(model, n, work%xa, work%vc, &
         body, state%closing, work%cables%extra, work%body_force, work%body_torque, h/6.0_wp, work%cables%thread_impulse, &
         state%ledger)
     call credit_winch(work%cables, state)
@@ -134,8 +135,8 @@ contains
       state%ledger%external_work = state%ledger%external_work + torque_work(model, state%target, k(1), k(2), k(3), h)
       call body_rk4(state%target, k(1), k(2), k(3), k(4), h)
     end if
-    if (has_net) call sweep(model, work%cables, stage_last, n, h/6.0_wp, work%xa, work%va, &
-        state%node_position, state%node_velocity, work%xb, work%vb, work%sum_x, work%sum_v, power(:, 4))
+    if (has_net) call sweep(model, work%cables, stage_last, n, h/6.0_wp, work%xa, work%vc, &
+        state%node_position, state%node_velocity, work%va, work%vb, power(:, 4))
     call credit_winch(work%cables, state)
     if (has_net) then
       work_done = h/6.0_wp*((power(:, 1) + 2.0_wp*(power(:, 2) + power(:, 3))) + power(:, 4))
@@ -184,7 +185,7 @@ contains
         call credit_winch(work%cables, state)
       end if
       call sweep(model, work%cables, stage_kick, n, h, work%xa, state%velocity_ahead, &
-                 state%node_position, state%node_velocity, work%xb, work%vb, work%sum_x, work%sum_v, power)
+                 state%node_position, state%node_velocity, work%xb, work%vb, power)
       state%ledger%dissipated = state%ledger%dissipated + h*power(1)
       state%ledger%external_work = state%ledger%external_work + h*power(2)
       call credit_winch(work%cables, state)
@@ -298,15 +299,15 @@ contains
   end function torque_work
 
   !> One stage over all nodes. x, v: the stage's state. x0, v0: the step's start and, at
-  !> the last stage, its end. sum_x, sum_v: slopes. No two of the arrays are the same.
-  subroutine sweep(model, cables, stage, n_pad, h, x, v, x0, v0, x_out, v_out, sum_x, sum_v, power)
+  !> the last stage, its end. out1, out2: positions and velocities of the next stage; at the
+  !> last stage, velocities of the second and third. Nothing that is written is passed twice.
+  subroutine sweep(model, cables, stage, n_pad, h, x, v, x0, v0, out1, out2, power)
     type(model_t), intent(in) :: model
     type(cable_work_t), intent(inout) :: cables
     integer, intent(in) :: stage, n_pad
     real(wp), intent(in) :: h
     real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)
-    real(wp), intent(inout) :: x0(n_pad, 3), v0(n_pad, 3), x_out(n_pad, 3), v_out(n_pad, 3)
-    real(wp), intent(inout) :: sum_x(n_pad, 3), sum_v(n_pad, 3)
+    real(wp), intent(inout) :: x0(n_pad, 3), v0(n_pad, 3), out1(n_pad, 3), out2(n_pad, 3)
     real(wp), intent(out) :: power(2)  !! taken by the damping of all cables; done by moving supports [W]
     real(wp) :: floor_tension
     integer :: s
@@ -318,13 +319,11 @@ contains
                                               cables%loose_force, cables%loose_power)
     end associate
     if (size(cables%slabs) == 1) then
-      call sweep_slab(model, cables, cables%slabs(1), stage, n_pad, h, floor_tension, x, v, x0, v0, &
-                      x_out, v_out, sum_x, sum_v)
+      call sweep_slab(model, cables, cables%slabs(1), stage, n_pad, h, floor_tension, x, v, x0, v0, out1, out2)
     else
       !$omp parallel do default(shared) private(s) schedule(static, 1) num_threads(size(cables%slabs))
       do s = 1, size(cables%slabs)
-        call sweep_slab(model, cables, cables%slabs(s), stage, n_pad, h, floor_tension, x, v, x0, v0, &
-                        x_out, v_out, sum_x, sum_v)
+        call sweep_slab(model, cables, cables%slabs(s), stage, n_pad, h, floor_tension, x, v, x0, v0, out1, out2)
       end do
       !$omp end parallel do
     end if
@@ -335,44 +334,54 @@ contains
   end subroutine sweep
 
   !> The chunks of one slab.
-  subroutine sweep_slab(model, cables, slab, stage, n_pad, h, floor_tension, x, v, x0, v0, &
-                        x_out, v_out, sum_x, sum_v)
+  subroutine sweep_slab(model, cables, slab, stage, n_pad, h, floor_tension, x, v, x0, v0, out1, out2)
     type(model_t), intent(in) :: model
     type(cable_work_t), intent(inout) :: cables
     type(slab_t), intent(inout) :: slab
     integer, intent(in) :: stage, n_pad
     real(wp), intent(in) :: h, floor_tension
     real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)
-    real(wp), intent(inout) :: x0(n_pad, 3), v0(n_pad, 3), x_out(n_pad, 3), v_out(n_pad, 3)
-    real(wp), intent(inout) :: sum_x(n_pad, 3), sum_v(n_pad, 3)
-    real(wp) :: a(chunk_size, 3)
-    integer :: b, m, c
-    logical :: has_field
+    real(wp), intent(inout) :: x0(n_pad, 3), v0(n_pad, 3), out1(n_pad, 3), out2(n_pad, 3)
+    integer :: b, m, c, r, r1, r2
+    logical :: has_field, clean
 
     has_field = any(model%gravity /= 0.0_wp) .or. model%orbit_rate /= 0.0_wp
-
-    associate (plan => model%net%plan, net => model%net, w => cables%weight)
+    clean = .false.
+    associate (plan => model%net%plan, net => model%net, w => cables%weight, f => slab%force, rest => slab%other)
       call slab_halo(plan, slab, n_pad, x, v, floor_tension)
       do b = slab%first, slab%last, chunk_size
         m = min(chunk_size, slab%last - b + 1)
         call chunk_cables(plan, slab, b, b + m - 1, n_pad, x, v, floor_tension, cables%chunk_power((b - 1)/chunk_size + 1))
-        call chunk_force(plan, slab, b, b + m - 1, cables%loose_force, a)
-        if (allocated(cables%extra)) a(:m, :) = a(:m, :) + cables%extra(b:b + m - 1, :)
-        if (allocated(cables%support_power)) cables%support_power((b - 1)/chunk_size + 1) = &
-            power_of_supports(m, net%fixed(b), n_pad, b, v, a)
-        ! Without a field, the update itself divides by the mass: one pass less.
-        if (has_field) call force_to_acceleration(model, m, net%inverse_mass(b), n_pad, b, x, v, a)
+        call chunk_rest(plan, slab, b, b + m - 1, cables%loose_force, rest, clean)
+        if (allocated(cables%extra)) then
+          rest(:m, :) = rest(:m, :) + cables%extra(b:b + m - 1, :)
+          clean = .false.
+        end if
+        ! Rows of the forces away from these nodes and, in either diagonal, of those towards them.
+        r = b - slab%shift
+        r1 = r - slab%offset(1)
+        r2 = r - slab%offset(2)
+        if (has_field .or. allocated(cables%support_power)) then
+          call add_full_diagonals(m, r, slab, rest)
+          r1 = r                             ! so that they count for nothing below
+          r2 = r
+          clean = .false.
+          if (allocated(cables%support_power)) cables%support_power((b - 1)/chunk_size + 1) = &
+              power_of_supports(m, net%fixed(b), n_pad, b, v, rest)
+          ! Without a field, the update itself divides by the mass: one pass less.
+          if (has_field) call force_to_acceleration(model, m, net%inverse_mass(b), n_pad, b, x, v, rest)
+        end if
         do c = 1, 3
           select case (stage)
-          case (stage_first)
-            call update_first(m, h, a(1, c), w(b), x(b, c), v(b, c), sum_x(b, c), sum_v(b, c), x_out(b, c), v_out(b, c))
-          case (stage_middle)
-            call update_middle(m, h, a(1, c), w(b), v(b, c), x0(b, c), v0(b, c), sum_x(b, c), sum_v(b, c), &
-                               x_out(b, c), v_out(b, c))
+          case (stage_inner)
+            call update_inner(m, h, f(r, c, 1), f(r1, c, 1), f(r, c, 2), f(r2, c, 2), rest(1, c), w(b), v(b, c), &
+                              x0(b, c), v0(b, c), out1(b, c), out2(b, c))
           case (stage_last)
-            call update_last(m, h, a(1, c), w(b), v(b, c), sum_x(b, c), sum_v(b, c), x0(b, c), v0(b, c))
+            call update_last(m, h, f(r, c, 1), f(r1, c, 1), f(r, c, 2), f(r2, c, 2), rest(1, c), w(b), &
+                             out1(b, c), out2(b, c), v(b, c), x0(b, c), v0(b, c))
           case (stage_kick)
-            call update_kick(m, h, a(1, c), w(b), x(b, c), v0(b, c), x_out(b, c), v_out(b, c))
+            call update_kick(m, h, f(r, c, 1), f(r1, c, 1), f(r, c, 2), f(r2, c, 2), rest(1, c), w(b), x(b, c), &
+                             v0(b, c), out1(b, c), out2(b, c))
           end select
         end do
       end do
@@ -423,60 +432,65 @@ contains
     end if
   end subroutine force_to_acceleration
 
-  pure subroutine update_first(m, h, force, w, x, v, sum_x, sum_v, x_out, v_out)
-    integer, intent(in) :: m
-    real(wp), intent(in) :: h, force(m), w(m), x(m), v(m)
-    real(wp), intent(out) :: sum_x(m), sum_v(m), x_out(m), v_out(m)
-    real(wp) :: a
-    integer :: k
-    do k = 1, m
-      a = force(k)*w(k)
-      sum_x(k) = v(k)
-      sum_v(k) = a
-      x_out(k) = x(k) + h*v(k)
-      v_out(k) = v(k) + h*a
+  !> The force of the full diagonals, before the rest.
+  pure subroutine add_full_diagonals(m, r, slab, force)
+    integer, intent(in) :: m, r                      !! nodes; row of the first one
+    type(slab_t), intent(in) :: slab
+    real(wp), intent(inout) :: force(chunk_size, 3)  !! [N]
+    integer :: c, k
+    do c = 1, 3
+      do k = 0, m - 1
+        force(1 + k, c) = (slab%force(r + k, c, 1) - slab%force(r + k - slab%offset(1), c, 1)) &
+                          + (slab%force(r + k, c, 2) - slab%force(r + k - slab%offset(2), c, 2)) + force(1 + k, c)
+      end do
     end do
-  end subroutine update_first
+  end subroutine add_full_diagonals
 
-  pure subroutine update_middle(m, h, force, w, v, x0, v0, sum_x, sum_v, x_out, v_out)
+  ! In all updates: away1, back1, away2, back2 are the forces of the full diagonals' cables
+  ! that begin and end at the nodes, rest all other force [N]; w is 1/mass [1/kg].
+
+  !> A stage of rk4: from the step's start (x0, v0) with the slopes v and a.
+  pure subroutine update_inner(m, h, away1, back1, away2, back2, rest, w, v, x0, v0, x_out, v_out)
     integer, intent(in) :: m
-    real(wp), intent(in) :: h, force(m), w(m), v(m), x0(m), v0(m)
-    real(wp), intent(inout) :: sum_x(m), sum_v(m)
+    real(wp), intent(in) :: h, away1(m), back1(m), away2(m), back2(m), rest(m), w(m), v(m), x0(m), v0(m)
     real(wp), intent(out) :: x_out(m), v_out(m)
-    real(wp) :: a
     integer :: k
     do k = 1, m
-      a = force(k)*w(k)
-      sum_x(k) = sum_x(k) + 2.0_wp*v(k)
-      sum_v(k) = sum_v(k) + 2.0_wp*a
       x_out(k) = x0(k) + h*v(k)
-      v_out(k) = v0(k) + h*a
+      v_out(k) = v0(k) + h*(((away1(k) - back1(k)) + (away2(k) - back2(k)) + rest(k))*w(k))
     end do
-  end subroutine update_middle
+  end subroutine update_inner
 
-  pure subroutine update_last(m, h, force, w, v, sum_x, sum_v, x0, v0)
+  !> The end of an rk4 step. With the stages' velocities v2 = v0 + h/2 a1, v3 = v0 + h/2 a2,
+  !> v4 = v0 + h a3 the slopes need not be added up as they come:
+  !> h/6 (a1 + 2 a2 + 2 a3) = ((v2 - v0) + 2 (v3 - v0) + (v4 - v0))/3.
+  pure subroutine update_last(m, sixth, away1, back1, away2, back2, rest, w, v2, v3, v4, x0, v0)
     integer, intent(in) :: m
-    real(wp), intent(in) :: h, force(m), w(m), v(m), sum_x(m), sum_v(m)
+    real(wp), intent(in) :: sixth  !! of the step [s]
+    real(wp), intent(in) :: away1(m), back1(m), away2(m), back2(m), rest(m), w(m), v2(m), v3(m), v4(m)
     real(wp), intent(inout) :: x0(m), v0(m)
-    real(wp) :: a
+    real(wp), parameter :: third = 1.0_wp/3.0_wp
+    real(wp) :: a, v1
     integer :: k
     do k = 1, m
-      a = force(k)*w(k)
-      x0(k) = x0(k) + h*(sum_x(k) + v(k))
-      v0(k) = v0(k) + h*(sum_v(k) + a)
+      a = ((away1(k) - back1(k)) + (away2(k) - back2(k)) + rest(k))*w(k)
+      v1 = v0(k)
+      x0(k) = x0(k) + sixth*((v1 + v4(k)) + 2.0_wp*(v2(k) + v3(k)))
+      v0(k) = v1 + (third*(((v2(k) - v1) + (v4(k) - v1)) + 2.0_wp*(v3(k) - v1)) + sixth*a)
     end do
   end subroutine update_last
 
-  pure subroutine update_kick(m, h, force, w, x, v0, x_out, v_out)
+  !> The kick of the midpoint method and the drifts to the next midpoint.
+  pure subroutine update_kick(m, h, away1, back1, away2, back2, rest, w, x, v0, x_out, v_out)
     integer, intent(in) :: m
-    real(wp), intent(in) :: h, force(m), w(m), x(m)
+    real(wp), intent(in) :: h, away1(m), back1(m), away2(m), back2(m), rest(m), w(m), x(m)
     real(wp), intent(inout) :: v0(m)
     real(wp), intent(out) :: x_out(m), v_out(m)
     real(wp) :: a, half
     integer :: k
     half = 0.5_wp*h
     do k = 1, m
-      a = force(k)*w(k)
+      a = ((away1(k) - back1(k)) + (away2(k) - back2(k)) + rest(k))*w(k)
       v0(k) = v0(k) + h*a
       x_out(k) = (x(k) + half*v0(k)) + half*v0(k)
       v_out(k) = v0(k) + half*a
