@@ -11,11 +11,14 @@
 module castnet_hdf5_file
   use, intrinsic :: iso_c_binding, only: c_loc, c_ptr, c_int, c_null_char
   use hdf5, only: hid_t, hsize_t, size_t, h5open_f, h5dont_atexit_f, h5eset_auto_f, h5fcreate_f, h5fopen_f, h5fclose_f, &
-                  h5fflush_f, h5fget_filesize_f, h5fis_hdf5_f, h5gcreate_f, h5gopen_f, h5gclose_f, h5screate_simple_f, &
+                  h5fflush_f, h5fget_filesize_f, h5fis_hdf5_f, h5gcreate_f, h5gopen_f, h5gclose_f, h5gget_info_f, &
+                  h5screate_simple_f, &
                   h5screate_f, h5sclose_f, h5dcreate_f, h5dopen_f, h5dclose_f, h5dwrite_f, h5acreate_f, h5awrite_f, &
                   h5aclose_f, h5aopen_f, h5aexists_f, h5tcopy_f, h5tclose_f, h5tset_size_f, h5tset_cset_f, &
                   h5tset_strpad_f, h5ldelete_f, h5lexists_f, h5t_string, h5t_fortran_s1, h5t_cset_utf8_f, &
-                  h5t_str_nullpad_f, h5t_native_double, h5t_native_real, h5t_native_integer, h5t_std_i32le, &
+                  h5t_str_nullpad_f, h5lget_name_by_idx_f, h5p_group_create_f, h5pset_link_creation_order_f, &
+                  h5pset_link_phase_change_f, h5pset_est_link_info_f, h5p_crt_order_tracked_f, h5_index_name_f, h5_iter_inc_f, &
+                  h5t_native_double, h5t_native_real, h5t_native_integer, h5t_std_i32le, &
                   h5t_std_i64le, h5t_ieee_f64le, h5t_ieee_f32le, h5f_acc_trunc_f, h5f_acc_rdonly_f, h5f_acc_rdwr_f, &
                   h5f_scope_local_f, h5s_scalar_f, h5pcreate_f, h5pclose_f, h5p_file_access_f, h5p_dataset_xfer_f, &
                   h5pset_buffer_f, h5pset_cache_f, h5kind_to_type, h5_integer_kind
@@ -27,8 +30,8 @@ module castnet_hdf5_file
   private
   public :: hdf5_file_t, location_t, check, joined
   public :: start_hdf5, create_hdf5, open_hdf5, flush_file, close_file, file_bytes, is_hdf5
-  public :: make_group, open_group, close_group, delete_entry, has_entry
-  public :: write_text, write_value, write_array, set_attribute, set_fixed_text, make_scale, attach_scales
+  public :: make_group, open_group, close_group, empty_group, has_entry
+  public :: write_text, write_short_text, write_value, write_array, set_attribute, set_fixed_text, make_scale, attach_scales
   public :: kind_double, kind_single, kind_integer, kind_long, memory_type, file_type, value_bytes
 
   integer, parameter :: kind_double = 1, kind_single = 2, kind_integer = 3, kind_long = 4
@@ -36,6 +39,9 @@ module castnet_hdf5_file
   !> Bytes for texts on their way to the file. The library's own choice is two buffers of
   !> 1 MiB, cleared at every text: a third of the processor time of a short run.
   integer(hsize_t), parameter :: conversion_buffer = 65536_hsize_t
+
+  !> Bytes of a text that may change while others read the file.
+  integer, parameter :: short_text = 32
 
   !> A place in a file: the file itself or a group.
   type :: location_t
@@ -211,16 +217,30 @@ contains
     file_bytes = merge(int(bytes, i8), 0_i8, status >= 0)
   end function file_bytes
 
-  subroutine make_group(file, parent, name, group, error)
+  !> Create a group. With `entries` it is made to grow to about so many while others read the
+  !> file: its links stand in its header, which has room for them (castnet_safe_driver.c).
+  subroutine make_group(file, parent, name, group, error, entries)
     type(hdf5_file_t), intent(inout) :: file
     type(location_t), intent(in) :: parent
     character(len=*), intent(in) :: name
     type(location_t), intent(out) :: group
     type(error_t), allocatable, intent(inout) :: error
-    integer :: status
+    integer, intent(in), optional :: entries
+    integer, parameter :: usual_name = 20, most_links = 65535
+    integer(hid_t) :: plan
+    integer :: status, ignored
     if (file%broken) return
     group%name = joined(parent, name)
-    call h5gcreate_f(parent%id, name, group%id, status)
+    if (present(entries)) then
+      call h5pcreate_f(h5p_group_create_f, plan, status)
+      if (status >= 0) call h5pset_link_creation_order_f(plan, h5p_crt_order_tracked_f, status)
+      if (status >= 0) call h5pset_link_phase_change_f(plan, most_links, 0, status)
+      if (status >= 0) call h5pset_est_link_info_f(plan, entries, usual_name, status)
+      if (status >= 0) call h5gcreate_f(parent%id, name, group%id, status, gcpl_id=plan)
+      call h5pclose_f(plan, ignored)
+    else
+      call h5gcreate_f(parent%id, name, group%id, status)
+    end if
     call check(file, status, 'create the group', group%name, error)
   end subroutine make_group
 
@@ -246,17 +266,21 @@ contains
     group%id = -1
   end subroutine close_group
 
-  !> Remove a dataset or a group with all it holds.
-  subroutine delete_entry(file, parent, name, error)
+  !> Remove everything that a group holds, not its attributes.
+  subroutine empty_group(file, group, error)
     type(hdf5_file_t), intent(inout) :: file
-    type(location_t), intent(in) :: parent
-    character(len=*), intent(in) :: name
+    type(location_t), intent(in) :: group
     type(error_t), allocatable, intent(inout) :: error
-    integer :: status
+    character(len=256) :: name
+    integer :: status, kind, n_link, largest, i
     if (file%broken) return
-    call h5ldelete_f(parent%id, name, status)
-    call check(file, status, 'remove', joined(parent, name), error)
-  end subroutine delete_entry
+    call h5gget_info_f(group%id, kind, n_link, largest, status)
+    do i = 1, n_link
+      if (status >= 0) call h5lget_name_by_idx_f(group%id, '.', h5_index_name_f, h5_iter_inc_f, 0_hsize_t, name, status)
+      if (status >= 0) call h5ldelete_f(group%id, trim(name), status)
+    end do
+    call check(file, status, 'empty the group', group%name, error)
+  end subroutine empty_group
 
   !> Is there a dataset or group of this name right here?
   logical function has_entry(parent, name)
@@ -362,6 +386,40 @@ contains
     call put(file, parent, name, text_type, text_type, [integer(hsize_t) ::], c_loc(pointer_to_text), error=error)
     call free_type(text_type)
   end subroutine write_text
+
+  !> A text of at most 32 bytes, new or in the place of the one before: others may read the
+  !> file meanwhile. A text of variable length would be put somewhere else.
+  subroutine write_short_text(file, parent, name, text, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name, text
+    type(error_t), allocatable, intent(inout) :: error
+    character(len=short_text), target :: buffer
+    integer(hid_t) :: text_type, dataset
+    integer :: status, ignored
+    if (file%broken) return
+    buffer = text//repeat(c_null_char, short_text)
+    text_type = fixed_text_type(short_text)
+    call h5tset_cset_f(text_type, h5t_cset_utf8_f, ignored)
+    if (has_entry(parent, name)) then
+      call h5dopen_f(parent%id, name, dataset, status)
+      if (status >= 0) call h5dwrite_f(dataset, text_type, c_loc(buffer), status)
+      call check(file, status, 'write', joined(parent, name), error)
+      if (status >= 0) call h5dclose_f(dataset, ignored)
+    else
+      call put(file, parent, name, text_type, text_type, [integer(hsize_t) ::], c_loc(buffer), error=error)
+    end if
+    call free_type(text_type)
+  end subroutine write_short_text
+
+  !> Type of a text of fixed length, ASCII.
+  integer(hid_t) function fixed_text_type(length)
+    integer, intent(in) :: length
+    integer :: status
+    call h5tcopy_f(h5t_fortran_s1, fixed_text_type, status)
+    call h5tset_size_f(fixed_text_type, int(length, size_t), status)
+    call h5tset_strpad_f(fixed_text_type, h5t_str_nullpad_f, status)
+  end function fixed_text_type
 
   !> Type of a text of variable length.
   integer(hid_t) function new_text_type()
@@ -549,11 +607,8 @@ contains
     character(len=*), intent(in), target :: text
     type(error_t), allocatable, intent(inout) :: error
     integer(hid_t) :: text_type
-    integer :: status
     if (file%broken) return
-    call h5tcopy_f(h5t_fortran_s1, text_type, status)
-    call h5tset_size_f(text_type, len(text, kind=size_t), status)
-    call h5tset_strpad_f(text_type, h5t_str_nullpad_f, status)
+    text_type = fixed_text_type(len(text))
     call put_attribute(file, object, name, text_type, text_type, [integer(hsize_t) ::], c_loc(text), error)
     call free_type(text_type)
   end subroutine set_fixed_text

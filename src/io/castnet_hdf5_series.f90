@@ -6,7 +6,8 @@ module castnet_hdf5_series
   use hdf5, only: hid_t, hsize_t, h5screate_simple_f, h5sclose_f, h5sselect_hyperslab_f, h5pcreate_f, h5pset_chunk_f, &
                   h5pset_fill_value_f, h5pget_chunk_f, h5pclose_f, h5dcreate_f, h5dopen_f, h5dclose_f, h5dwrite_f, &
                   h5dset_extent_f, h5dget_space_f, h5dget_create_plist_f, h5sget_simple_extent_ndims_f, &
-                  h5sget_simple_extent_dims_f, h5s_unlimited_f, h5s_select_set_f, h5p_dataset_create_f
+                  h5sget_simple_extent_dims_f, h5s_unlimited_f, h5s_select_set_f, h5p_dataset_create_f, h5p_dataset_xfer_f, &
+                  h5pset_btree_ratios_f
   use castnet_kinds, only: wp, sp, i4, i8
   use castnet_error, only: error_t, fail, exit_file
   use castnet_hdf5_file, only: hdf5_file_t, location_t, check, joined, set_attribute, kind_double, kind_single, &
@@ -224,7 +225,7 @@ contains
     type(error_t), allocatable, intent(inout) :: error
     integer(hsize_t) :: extent(most_rank), start(most_rank), count(most_rank)
     integer(i8) :: frame
-    integer(hid_t) :: space, memory
+    integer(hid_t) :: space, memory, plan
     integer :: status, ignored, r
     if (file%broken .or. n_value == 0) return
     r = series%rank
@@ -245,10 +246,15 @@ contains
     if (status >= 0) call h5dget_space_f(series%id, space, status)
     if (status >= 0) call h5sselect_hyperslab_f(space, h5s_select_set_f, start(1:r), count(1:r), status)
     if (status >= 0) call h5screate_simple_f(r, count(1:r), memory, status)
-    if (status >= 0) call h5dwrite_f(series%id, memory_type(kind), buffer, status, memory, space)
+    if (status >= 0) call h5pcreate_f(h5p_dataset_xfer_f, plan, status)
+    ! A full node of the tree of chunks keeps all that it can when it is split: what moves
+    ! out of it is out of sight of who reads the file with the old tree in mind.
+    if (status >= 0) call h5pset_btree_ratios_f(plan, 0.1, 0.5, 1.0, status)
+    if (status >= 0) call h5dwrite_f(series%id, memory_type(kind), buffer, status, memory, space, plan)
     call check(file, status, 'append to', series%name, error)
     if (status < 0) return
     series%length = extent(r)
+    call h5pclose_f(plan, ignored)
     call h5sclose_f(memory, ignored)
     call h5sclose_f(space, ignored)
   end subroutine append

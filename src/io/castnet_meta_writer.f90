@@ -7,8 +7,8 @@ module castnet_meta_writer
   use castnet_state, only: schedule_t
   use castnet_text, only: to_text
   use castnet_posix, only: time_stamp, host_name
-  use castnet_hdf5_file, only: hdf5_file_t, location_t, make_group, open_group, close_group, delete_entry, has_entry, &
-                               write_text, write_value
+  use castnet_hdf5_file, only: hdf5_file_t, location_t, make_group, open_group, close_group, has_entry, write_text, &
+                               write_short_text, write_value
   use castnet_hdf5_reader, only: dataset_t, ask_dataset, read_longs, class_integer
   implicit none
   private
@@ -51,9 +51,9 @@ contains
     call write_value(file, meta, 'first_frame', info%schedule%frames, '1', error)
     call write_value(file, meta, 'first_row', info%schedule%rows, '1', error)
     call write_text(file, meta, 'start', time_stamp(), error)
-    call write_text(file, meta, 'end', '', error)
-    call write_text(file, meta, 'status', 'running', error)
-    call make_group(file, meta, 'sessions', sessions, error)
+    call write_short_text(file, meta, 'end', '', error)
+    call write_short_text(file, meta, 'status', 'running', error)
+    call make_group(file, meta, 'sessions', sessions, error, entries=16)
     call start_session(file, sessions, info, session, error)
     call close_group(file, sessions)
     call close_group(file, meta)
@@ -67,8 +67,8 @@ contains
     type(error_t), allocatable, intent(inout) :: error
     type(location_t) :: meta, sessions
     call open_group(file, file%root, 'meta', meta, error)
-    call replace_text(file, meta, 'status', 'running', error)
-    call replace_text(file, meta, 'end', '', error)
+    call write_short_text(file, meta, 'status', 'running', error)
+    call write_short_text(file, meta, 'end', '', error)
     call open_group(file, meta, 'sessions', sessions, error)
     call start_session(file, sessions, info, session, error)
     call close_group(file, sessions)
@@ -101,6 +101,8 @@ contains
     call write_text(file, session, 'checkpoint', known(info%checkpoint), error)
     call write_value(file, session, 'from_step', info%step, '1', error)
     call write_value(file, session, 'from_time', info%time, 's', error)
+    call write_short_text(file, session, 'end', '', error)
+    call write_short_text(file, session, 'status', 'running', error)
     call close_group(file, session)
   end subroutine start_session
 
@@ -111,15 +113,6 @@ contains
     if (allocated(text)) words = text
   end function known
 
-  subroutine replace_text(file, group, name, text, error)
-    type(hdf5_file_t), intent(inout) :: file
-    type(location_t), intent(in) :: group
-    character(len=*), intent(in) :: name, text
-    type(error_t), allocatable, intent(inout) :: error
-    call delete_entry(file, group, name, error)
-    call write_text(file, group, name, text, error)
-  end subroutine replace_text
-
   !> How the run ended, for the file and for this session.
   subroutine end_meta(file, name, status, error)
     type(hdf5_file_t), intent(inout) :: file
@@ -127,11 +120,11 @@ contains
     type(error_t), allocatable, intent(inout) :: error
     type(location_t) :: meta, session
     call open_group(file, file%root, 'meta', meta, error)
-    call replace_text(file, meta, 'status', status, error)
-    call replace_text(file, meta, 'end', time_stamp(), error)
+    call write_short_text(file, meta, 'status', status, error)
+    call write_short_text(file, meta, 'end', time_stamp(), error)
     call open_group(file, meta, 'sessions/'//name, session, error)
-    call write_text(file, session, 'end', time_stamp(), error)
-    call write_text(file, session, 'status', status, error)
+    call write_short_text(file, session, 'end', time_stamp(), error)
+    call write_short_text(file, session, 'status', status, error)
     call close_group(file, session)
     call close_group(file, meta)
   end subroutine end_meta

@@ -4,7 +4,7 @@ module castnet_output_files
   use castnet_error, only: error_t, fail, exit_file, exit_input
   use castnet_text, only: to_text, text_t, folder_of, name_of, without_extension
   use castnet_posix, only: path_kind, path_nothing, path_file, path_folder, same_file, may_write, longest_name, &
-                           longest_path, remove_file, copy_file, file_failure
+                           longest_path, remove_file, copy_file, rename_file, file_failure
   implicit none
   private
   public :: check_output, check_csv, protect_inputs, can_continue, stage_part, clear_leftovers
@@ -118,7 +118,9 @@ contains
     integer :: number
     if (allocated(error)) return
     if (path_kind(output//'.part') == path_file) return
-    number = copy_file(output, output//'.part')
+    number = remove_file(output//'.tmp')
+    number = copy_file(output, output//'.tmp')
+    if (number == 0) number = rename_file(output//'.tmp', output//'.part')
     if (number /= 0) call file_failure(error, number, 'cannot copy the finished run to go on with it:', output//'.part', &
                                        'check the folder')
   end subroutine stage_part

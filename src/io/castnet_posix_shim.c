@@ -140,7 +140,7 @@ int castnet_remove_if_unchanged(const char *path, const char *data, int64_t n)
     return status;
 }
 
-/* Copy a file to a name that must not exist yet. */
+/* Copy a file to a name that must not exist yet. Its holes stay holes. */
 int castnet_copy_file(const char *from, const char *to)
 {
     static const size_t block = 1 << 20;
@@ -160,8 +160,12 @@ int castnet_copy_file(const char *from, const char *to)
         if (got < 0 && errno == EINTR) continue;
         if (got < 0) status = errno;
         if (got <= 0) break;
-        status = write_all(out, buffer, got);
+        if (buffer[0] == 0 && memcmp(buffer, buffer + 1, (size_t)got - 1) == 0)
+            status = lseek(out, got, SEEK_CUR) < 0 ? errno : 0;
+        else
+            status = write_all(out, buffer, got);
     }
+    if (status == 0 && ftruncate(out, lseek(out, 0, SEEK_CUR)) != 0) status = errno;
     free(buffer);
     close(in);
     if (close(out) != 0 && status == 0) status = errno;

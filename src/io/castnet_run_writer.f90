@@ -1,6 +1,8 @@
 !> The output file of a run (design.md, "Output file"): what Python and ParaView open.
 !>
 !> The file is started as OUTPUT.tmp, written as OUTPUT.part and renamed to OUTPUT when the run is complete.
+!> Whoever opens OUTPUT.part sees a whole file at any moment (castnet_safe_driver.c): no object is made
+!> after it has its name but in groups that were made to grow.
 !> Everything of one frame goes through one `commit`: first the disk space that it can
 !> take is set aside, so that HDF5 never meets a full disk half-way, then it is written,
 !> then flushed. A run that is killed keeps every frame that was flushed.
@@ -15,8 +17,9 @@ module castnet_run_writer
   use castnet_state, only: state_t
   use castnet_record, only: history_row_t, summary_t
   use castnet_text, only: to_text, byte_text, folder_of
-  use castnet_posix, only: reserve_space, release_space, sync_path, rename_file, remove_file, free_space, file_failure
-  use castnet_hdf5_file, only: hdf5_file_t, create_hdf5, open_hdf5, close_file, flush_file, file_bytes, delete_entry, &
+  use castnet_posix, only: reserve_space, release_space, sync_path, rename_file, remove_file, copy_file, free_space, &
+                           file_failure
+  use castnet_hdf5_file, only: hdf5_file_t, create_hdf5, open_hdf5, close_file, flush_file, file_bytes, &
                                has_entry, write_array, make_scale, attach_scales, kind_double
   use castnet_hdf5_series, only: series_t, create_series, open_series, append_frames, truncate_series, close_series, &
                                  growth_bytes
@@ -26,7 +29,7 @@ module castnet_run_writer
   use castnet_meta_writer, only: run_info_t, write_meta, continue_meta, first_count, end_meta
   use castnet_history_writer, only: history_writer_t, create_history, reopen_history, store_row, is_block_full, &
                                     waiting_rows, write_rows, history_growth, close_history
-  use castnet_summary_writer, only: write_summary
+  use castnet_summary_writer, only: prepare_summary, write_summary
   use castnet_vtkhdf_writer, only: vtkhdf_writer_t, create_vtkhdf, reopen_vtkhdf, write_vtkhdf_frame, vtkhdf_growth, &
                                    close_vtkhdf
   implicit none
@@ -87,6 +90,7 @@ contains
     allocate (writer%history)
     call create_history(writer%history, writer%file, error)
     call write_static(writer%file, model, writer%surface, error)
+    call prepare_summary(writer%file, error)
     call write_meta(writer%file, scene_text, effective_text, model, info, writer%session, error)
     if (info%vtk) then
       allocate (writer%vtk)
@@ -106,7 +110,9 @@ contains
     ignored = remove_file(path//'.tmp')
   end subroutine open_run
 
-  !> Go on with OUTPUT.part after a restart: what lies behind the checkpoint is cut off.
+  !> Go on with OUTPUT.part after a restart: what lies behind the checkpoint is cut off, in a
+  !> copy that then takes the place of the file, so that who reads it sees nothing of this. On
+  !> a disk without room for two it is done in the file itself.
   !> Errors: exit_file when the file is damaged, of another net, or ends before the checkpoint.
   subroutine reopen_run(writer, path, effective_text, model, surface, info, error)
     type(run_writer_t), intent(out) :: writer
@@ -117,20 +123,18 @@ contains
     type(run_info_t), intent(in) :: info                  !! with the checkpoint's schedule
     type(error_t), allocatable, intent(inout) :: error
     integer(i8) :: frames, rows
-    integer :: i
+    integer :: i, number
+    logical :: in_copy
     if (allocated(error)) return
     call prepare(writer, path, model, surface)
-    call open_hdf5(writer%file, writer%part, .true., error)
-    if (allocated(error)) then
-      error%message = error%message//'; go on into a new file with --output'
-      return
-    end if
+    call open_old(writer, in_copy, error)
+    if (allocated(error)) return
     frames = info%schedule%frames - first_count(writer%file, '/meta/first_frame', error)
     rows = info%schedule%rows - first_count(writer%file, '/meta/first_row', error)
     call check_same_scene(read_text(writer%file, '/meta/effective_scene'), effective_text, writer%part, error)
     call check_frames(writer, frames, rows, error)
     if (allocated(error)) then
-      call close_quietly(writer)
+      call leave_old(writer, in_copy)
       return
     end if
     do i = 1, n_series
@@ -144,12 +148,45 @@ contains
       allocate (writer%vtk)
       call reopen_vtkhdf(writer%vtk, writer%file, model, writer%surface, frames, error)
     end if
-    if (has_entry(writer%file%root, 'summary')) call delete_entry(writer%file, writer%file%root, 'summary', error)
+    call prepare_summary(writer%file, error)
     call continue_meta(writer%file, info, writer%session, error)
     call flush_file(writer%file, error)
     call check_room(writer, info, error)
-    if (allocated(error)) call close_quietly(writer)
+    if (in_copy .and. .not. allocated(error)) then
+      number = rename_file(path//'.tmp', writer%part)
+      if (number /= 0) call file_failure(error, number, 'cannot replace', writer%part)
+    end if
+    if (allocated(error)) call leave_old(writer, in_copy)
+    writer%file%path = writer%part
   end subroutine reopen_run
+
+  !> Open OUTPUT.part or a copy of it, OUTPUT.tmp.
+  subroutine open_old(writer, in_copy, error)
+    type(run_writer_t), intent(inout) :: writer
+    logical, intent(out) :: in_copy
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: ignored
+    ignored = remove_file(writer%path//'.tmp')
+    in_copy = copy_file(writer%part, writer%path//'.tmp') == 0
+    if (in_copy) then
+      call open_hdf5(writer%file, writer%path//'.tmp', .true., error)
+      writer%file%path = writer%part
+    else
+      call open_hdf5(writer%file, writer%part, .true., error)
+    end if
+    if (.not. allocated(error)) return
+    error%message = "cannot open the file '"//writer%part//"'; go on into a new file with --output"
+    call leave_old(writer, in_copy)
+  end subroutine open_old
+
+  !> Nothing came of it.
+  subroutine leave_old(writer, in_copy)
+    type(run_writer_t), intent(inout) :: writer
+    logical, intent(in) :: in_copy
+    integer :: ignored
+    call close_quietly(writer)
+    if (in_copy) ignored = remove_file(writer%path//'.tmp')
+  end subroutine leave_old
 
   !> Names, sizes, scratch.
   subroutine prepare(writer, path, model, surface)

@@ -11,18 +11,34 @@
  * out. Then all that waits is written in an order that leaves the file whole after each
  * single write:
  *   1. the superblock with the new end of the file (the file has already grown),
- *   2. values (they fill parts of blocks that no reader looks at yet),
- *   3. nodes of trees, from the root down (a node that is split keeps what moved out of
- *      it until its parent knows the new place),
- *   4. all else, among it the lengths of the datasets.
+ *   2. values and heaps (they fill parts of blocks that no reader looks at yet),
+ *   3. nodes of trees, from the root down,
+ *   4. all else, the lengths of the datasets, what was made last first: a group tells how
+ *      many steps there are after the datasets of the steps do.
  * These few writes are done by a short-lived child process that shares this one's
- * memory, so that a kill of this process does not even come between them.
+ * memory, so that a kill of this process does not even come between them. For the same
+ * reason HDF5 is not told to set blocks aside for small things: everything new lies behind
+ * the end.
  *
- * A reader asks for the file's length and then reads the superblock. If a commit comes
- * between the two, the end that it reads lies behind the length it was told, and it calls
- * the file truncated (seen once on a slow machine). So while the file is open it is kept
- * longer than its end by a hole of `slack` bytes, which takes no room on the disk; close
- * cuts it off. Readers allow a file to be longer than its end.
+ * A reader is no less in the way: it has read some blocks before a commit and reads others
+ * after it, and must find everything that the earlier ones name.
+ *   - A node of a tree that was split has lost what its new sister holds, of which a reader
+ *     with the old parent knows nothing. So a node that became shorter is written last, some
+ *     milliseconds after all else: till then both hold it.
+ *   - A block may reach over two pages, and a reader sees each at its own time. What is
+ *     added to a block is told of at its beginning, so its pages are written from the last
+ *     to the first, and read the other way round.
+ *   - A reader refuses whatever lies behind the end that it read in the superblock: after
+ *     every commit an old reader would fail at the new data. So the superblock tells an end
+ *     that lies `slack` bytes behind the true one while the file is open (and a mark, in a
+ *     byte that the format leaves free, that it does).
+ *   - A reader asks for the file's length before it reads the superblock, and calls the file
+ *     truncated if the end lies behind that (seen once on a slow machine). So while the file
+ *     is open it is longer still, by a hole that takes no room on the disk; close cuts it
+ *     off. Readers allow a file to be longer than its end.
+ * Old groups cannot be added to in this way: their names stand in a heap whose head and body
+ * are read one after the other. castnet makes all groups before the file has its name, and
+ * such as grow later in the newer form, where a link is a message in the group's header.
  *
  * One writer, no locks: castnet's own lock file sees to that.
  */
@@ -38,18 +54,28 @@
 #include <sys/resource.h>
 #include <sys/stat.h>
 #include <sys/wait.h>
+#include <time.h>
 #include <unistd.h>
 #if H5_VERSION_GE(1, 13, 0)
 #include <H5FDdevelop.h>
 #endif
 
-/* More than one commit lets a usual file grow by [B]. */
-static const haddr_t slack = (haddr_t)1 << 22;
+/* More than many commits let a usual file grow by [B]; and the mark of a superblock that
+ * tells so much too much. */
+enum { slack_mark = 24 };
+static const haddr_t slack = (haddr_t)1 << slack_mark;
+
+/* More than a reader takes from one block to the next. */
+static const struct timespec grace = {0, 5000000};
+
+/* Of a superblock of version 0: what is read here, its free byte, the end of the file. */
+enum { block_bytes = 48, mark_at = 15, end_at = 40, page = 4096 };
 
 typedef struct {
     haddr_t address;
     size_t size;
     int rank; /* place in the order of writing */
+    int shorter; /* a node with fewer entries than on the disk */
     unsigned char *bytes;
 } waiting_t;
 
@@ -62,6 +88,8 @@ typedef struct {
     haddr_t known_end; /* end that readers know: what lies behind is free to write */
     dev_t device;
     ino_t inode;
+    int is_plain;      /* its superblock is of version 0: the end may be told too large */
+    haddr_t told_end;  /* by the superblock on the disk */
     waiting_t *waiting; /* writes that wait, none overlapping another */
     size_t n_waiting, room;
 } safe_file_t;
@@ -83,29 +111,55 @@ static int write_at(int fd, const unsigned char *bytes, size_t n, haddr_t addres
 
 /* ---- the order of what waits ---------------------------------------------------- */
 
+enum { rank_values = 1, rank_rest = 1000 };
+
 /* See the head of this file. A tree's node starts with 'TREE', its type and its level. */
 static int rank_of(H5FD_mem_t type, haddr_t address, const unsigned char *bytes, size_t n)
 {
     if (address == 0) return 0;
-    if (type == H5FD_MEM_DRAW) return 1;
-    if (n >= 6 && memcmp(bytes, "TREE", 4) == 0) return 2 + (255 - bytes[5]);
-    return 1000;
+    if (type == H5FD_MEM_DRAW || type == H5FD_MEM_GHEAP || type == H5FD_MEM_LHEAP) return rank_values;
+    if (n >= 6 && memcmp(bytes, "TREE", 4) == 0) return rank_values + 1 + (255 - bytes[5]);
+    return rank_rest;
 }
 
 static int compare_waiting(const void *a, const void *b)
 {
     const waiting_t *x = a, *y = b;
     if (x->rank != y->rank) return x->rank < y->rank ? -1 : 1;
+    if (x->rank == rank_rest) return x->address > y->address ? -1 : x->address < y->address;
     return x->address < y->address ? -1 : x->address > y->address;
 }
 
-/* Write all that waits; only calls that a child of vfork may make. */
+/* From its last page to its first. */
+static int write_pages(int fd, const unsigned char *bytes, size_t n, haddr_t address)
+{
+    while (n > 0) {
+        haddr_t first = (address + n - 1) / page * page;
+        if (first < address) first = address;
+        size_t before = (size_t)(first - address);
+        int status = write_at(fd, bytes + before, n - before, first);
+        if (status != 0) return status;
+        n = before;
+    }
+    return 0;
+}
+
+/* Write all that waits, what became shorter last, when readers that were between two blocks
+ * are done; only calls that a child of vfork may make. */
 static int write_waiting(const safe_file_t *file)
 {
-    for (size_t i = 0; i < file->n_waiting; i++) {
-        const waiting_t *w = &file->waiting[i];
-        int status = write_at(file->fd, w->bytes, w->size, w->address);
-        if (status != 0) return status;
+    size_t n_shorter = 0;
+    for (int shorter = 0; shorter <= 1; shorter++) {
+        if (shorter && n_shorter > 0) (void)nanosleep(&grace, NULL);
+        for (size_t i = 0; i < file->n_waiting; i++) {
+            const waiting_t *w = &file->waiting[i];
+            int status = 0;
+            n_shorter += (size_t)(!shorter && w->shorter);
+            if (w->shorter != shorter) continue;
+            if (w->rank == rank_values) status = write_at(file->fd, w->bytes, w->size, w->address);
+            else status = write_pages(file->fd, w->bytes, w->size, w->address);
+            if (status != 0) return status;
+        }
     }
     return 0;
 }
@@ -138,6 +192,26 @@ static void forget_waiting(safe_file_t *file)
     file->n_waiting = 0;
 }
 
+/* Does this node of a tree have fewer entries than on the disk? Their number follows its
+ * type and level. A root that gets a new level is not meant: its entries are in the nodes
+ * below, which are new. */
+static int became_shorter(const safe_file_t *file, const waiting_t *w)
+{
+    unsigned char old[8];
+    if (w->rank <= rank_values || w->rank >= rank_rest) return 0;
+    if (pread(file->fd, old, sizeof old, (off_t)w->address) != sizeof old || memcmp(old, "TREE", 4) != 0) return 0;
+    if (w->bytes[5] != old[5]) return 0;
+    return (w->bytes[6] | w->bytes[7] << 8) < (old[6] | old[7] << 8);
+}
+
+/* Does HDF5's own superblock wait? It tells the true end. */
+static int waits_at_start(const safe_file_t *file)
+{
+    for (size_t i = 0; i < file->n_waiting; i++)
+        if (file->waiting[i].address == 0) return 1;
+    return 0;
+}
+
 static int set_length(safe_file_t *file, haddr_t length)
 {
     if (file->length == length) return 0;
@@ -146,29 +220,73 @@ static int set_length(safe_file_t *file, haddr_t length)
     return 0;
 }
 
-/* Bytes that the hole may have: none where a limit on the size of files would be hit. */
-static haddr_t hole(const safe_file_t *file)
+/* Bytes between the true end and the one told: none where a limit on the size of files
+ * would be hit, or the superblock is of a kind that has a checksum. */
+static haddr_t lead(const safe_file_t *file)
 {
     struct rlimit limit;
+    if (!file->is_plain) return 0;
     if (getrlimit(RLIMIT_FSIZE, &limit) != 0 || limit.rlim_cur == RLIM_INFINITY) return slack;
-    return file->eoa + 2 * slack < (haddr_t)limit.rlim_cur ? slack : 0;
+    return file->eoa + 3 * slack < (haddr_t)limit.rlim_cur ? slack : 0;
 }
 
-/* Make what readers see the same as what HDF5 means. The hole is made anew when half of it
- * has been written to; a file system that refuses it goes without. */
-static int commit(safe_file_t *file)
+/* From the disk, zeros behind its end, and over it what waits. */
+static int read_through(const safe_file_t *file, haddr_t address, size_t n, unsigned char *to)
+{
+    size_t done = 0;
+    while (done < n) {
+        ssize_t got = pread(file->fd, to + done, n - done, (off_t)(address + done));
+        if (got < 0 && errno == EINTR) continue;
+        if (got < 0) return errno;
+        if (got == 0) break;
+        done += (size_t)got;
+    }
+    memset(to + done, 0, n - done);
+    for (size_t i = 0; i < file->n_waiting; i++) {
+        const waiting_t *w = &file->waiting[i];
+        haddr_t low = w->address > address ? w->address : address;
+        haddr_t high = w->address + w->size < address + n ? w->address + w->size : address + n;
+        if (low < high) memcpy(to + (low - address), w->bytes + (low - w->address), (size_t)(high - low));
+    }
+    return 0;
+}
+
+static int keep(safe_file_t *file, H5FD_mem_t type, haddr_t address, size_t n, const unsigned char *bytes);
+static void look_at_superblock(safe_file_t *file);
+
+/* Have the superblock tell an end that lies `by` behind the true one. */
+static int tell_end(safe_file_t *file, haddr_t by)
+{
+    unsigned char block[block_bytes];
+    haddr_t end = file->eoa + by;
+    if (!file->is_plain) return 0;
+    if (read_through(file, 0, sizeof block, block) != 0) return EIO;
+    block[mark_at] = by > 0 ? slack_mark : 0;
+    for (int i = 0; i < 8; i++) block[end_at + i] = (unsigned char)(end >> 8 * i);
+    return keep(file, H5FD_MEM_SUPER, 0, sizeof block, block);
+}
+
+/* Make what readers see the same as what HDF5 means. The hole is made anew when half of what
+ * no end told reaches has been written to; a file system that refuses it goes without. */
+static int commit(safe_file_t *file, int closing)
 {
     int status = 0;
-    if (file->length < file->eoa + slack / 2 && hole(file) > 0) (void)set_length(file, file->eoa + slack);
+    if (file->known_end == 0) look_at_superblock(file);
+    haddr_t by = closing ? 0 : lead(file);
+    if (by > 0 && file->length < file->eoa + by + slack / 2 && set_length(file, file->eoa + by + slack) != 0) by = 0;
     if (file->length < file->eoa) status = set_length(file, file->eoa);
     if (status != 0) return status;
     file->eof = file->eoa;
+    if (file->told_end != file->eoa + by || waits_at_start(file)) status = tell_end(file, by);
+    if (status != 0) return status;
     if (file->n_waiting > 0) {
+        for (size_t i = 0; i < file->n_waiting; i++) file->waiting[i].shorter = became_shorter(file, &file->waiting[i]);
         qsort(file->waiting, file->n_waiting, sizeof *file->waiting, compare_waiting);
         status = write_waiting_in_child(file);
     }
     if (status != 0) return status;
     forget_waiting(file);
+    file->told_end = file->eoa + by;
     file->known_end = file->eoa;
     return 0;
 }
@@ -214,25 +332,32 @@ static int keep(safe_file_t *file, H5FD_mem_t type, haddr_t address, size_t n, c
         }
     }
     memcpy(whole + (address - first), bytes, n);
-    file->waiting[kept] = (waiting_t){first, (size_t)(last - first), rank_of(type, first, whole, (size_t)(last - first)), whole};
+    file->waiting[kept] = (waiting_t){first, (size_t)(last - first), rank_of(type, first, whole, (size_t)(last - first)), 0, whole};
     file->n_waiting = kept + 1;
     return 0;
 }
 
 /* ---- what HDF5 calls ------------------------------------------------------------- */
 
-/* The end that a file's superblock tells (versions 0, 2 and 3; `length` where it is of no
- * such file or ends before): behind it may be the hole that a killed writer left. */
-static haddr_t stored_end(int fd, haddr_t length)
+/* What the superblock of a file that is there says: is it plain, which end does it tell, and
+ * which is the true one (the file's length where it tells none)? Behind the true end may be
+ * the hole that a killed writer left. */
+static void look_at_superblock(safe_file_t *file)
 {
     static const unsigned char signature[8] = {0x89, 'H', 'D', 'F', '\r', '\n', 0x1a, '\n'};
-    unsigned char block[48];
+    unsigned char block[block_bytes];
     haddr_t end = 0;
-    if (pread(fd, block, sizeof block, 0) != sizeof block || memcmp(block, signature, 8) != 0) return length;
-    int at = block[8] == 0 ? 40 : block[8] == 2 || block[8] == 3 ? 28 : -1;
-    if (at < 0 || block[at == 40 ? 13 : 9] != 8) return length;
+    file->is_plain = 0;
+    file->eof = file->told_end = file->length;
+    if (pread(file->fd, block, sizeof block, 0) != sizeof block || memcmp(block, signature, 8) != 0) return;
+    int at = block[8] == 0 ? end_at : block[8] == 2 || block[8] == 3 ? 28 : -1;
+    if (at < 0 || block[at == end_at ? 13 : 9] != 8) return;
     for (int i = 7; i >= 0; i--) end = end << 8 | block[at + i];
-    return end > 0 && end < length ? end : length;
+    file->is_plain = at == end_at;
+    if (end == 0 || end > file->length) return;
+    file->eof = file->told_end = end;
+    if (file->is_plain && block[mark_at] > 0 && block[mark_at] < 40 && end > (haddr_t)1 << block[mark_at])
+        file->eof -= (haddr_t)1 << block[mark_at];
 }
 
 static H5FD_t *safe_open(const char *name, unsigned flags, hid_t fapl, haddr_t maxaddr)
@@ -254,17 +379,41 @@ static H5FD_t *safe_open(const char *name, unsigned flags, hid_t fapl, haddr_t m
     }
     file->fd = fd;
     file->length = (haddr_t)s.st_size;
-    file->eof = file->known_end = stored_end(fd, file->length);
+    look_at_superblock(file);
+    file->eoa = file->known_end = file->eof;
+    /* HDF5 is to read the true end; a lack of memory shows again when it does */
+    if (file->told_end != file->eof) (void)tell_end(file, 0);
+    file->eoa = 0;
     file->device = s.st_dev;
     file->inode = s.st_ino;
     return &file->pub;
 }
 
+/* Cut the file to its end when nobody has it open: some readers ask for the length after
+ * they have read the end, and that may have been the old one. A lease says whether there
+ * are any, and holds new ones back meanwhile; it is told of them by a signal, of which
+ * SIGURG alone does nothing. After half a second they have had their time. */
+static int cut_hole(safe_file_t *file)
+{
+    int leased = 0;
+    if (file->length == file->eoa) return 0;
+    (void)fcntl(file->fd, F_SETSIG, SIGURG);
+    for (int i = 0; i < 100 && !leased; i++) {
+        leased = fcntl(file->fd, F_SETLEASE, F_WRLCK) == 0;
+        int others = leased || errno == EAGAIN || errno == EBUSY;
+        if (!leased) (void)nanosleep(&grace, NULL);
+        if (!others) break;
+    }
+    int status = set_length(file, file->eoa);
+    if (leased) (void)fcntl(file->fd, F_SETLEASE, F_UNLCK);
+    return status;
+}
+
 static herr_t safe_close(H5FD_t *pub)
 {
     safe_file_t *file = (safe_file_t *)pub;
-    int status = commit(file);
-    if (status == 0) status = set_length(file, file->eoa);
+    int status = commit(file, 1);
+    if (status == 0) status = cut_hole(file);
     forget_waiting(file);
     free(file->waiting);
     if (close(file->fd) != 0 && status == 0) status = errno;
@@ -283,9 +432,9 @@ static int safe_cmp(const H5FD_t *a, const H5FD_t *b)
 static herr_t safe_query(const H5FD_t *pub, unsigned long *flags)
 {
     (void)pub;
-    /* no sieve: it would write a whole chunk for each number that is added to it */
-    *flags = H5FD_FEAT_AGGREGATE_METADATA | H5FD_FEAT_AGGREGATE_SMALLDATA | H5FD_FEAT_POSIX_COMPAT_HANDLE
-             | H5FD_FEAT_DEFAULT_VFD_COMPATIBLE;
+    /* no sieve: it would write a whole chunk for each number that is added to it;
+     * no aggregation: see the head of this file */
+    *flags = H5FD_FEAT_POSIX_COMPAT_HANDLE | H5FD_FEAT_DEFAULT_VFD_COMPATIBLE;
     return 0;
 }
 
@@ -315,29 +464,11 @@ static herr_t safe_get_handle(H5FD_t *pub, hid_t fapl, void **handle)
     return 0;
 }
 
-/* From the disk, zeros behind its end, and over it what waits. */
 static herr_t safe_read(H5FD_t *pub, H5FD_mem_t type, hid_t dxpl, haddr_t address, size_t n, void *buffer)
 {
-    safe_file_t *file = (safe_file_t *)pub;
-    unsigned char *to = buffer;
-    size_t done = 0;
     (void)type;
     (void)dxpl;
-    while (done < n) {
-        ssize_t got = pread(file->fd, to + done, n - done, (off_t)(address + done));
-        if (got < 0 && errno == EINTR) continue;
-        if (got < 0) return -1;
-        if (got == 0) break;
-        done += (size_t)got;
-    }
-    memset(to + done, 0, n - done);
-    for (size_t i = 0; i < file->n_waiting; i++) {
-        const waiting_t *w = &file->waiting[i];
-        haddr_t low = w->address > address ? w->address : address;
-        haddr_t high = w->address + w->size < address + n ? w->address + w->size : address + n;
-        if (low < high) memcpy(to + (low - address), w->bytes + (low - w->address), (size_t)(high - low));
-    }
-    return 0;
+    return read_through((const safe_file_t *)pub, address, n, buffer) == 0 ? 0 : -1;
 }
 
 static herr_t safe_write(H5FD_t *pub, H5FD_mem_t type, hid_t dxpl, haddr_t address, size_t n, const void *buffer)
@@ -360,7 +491,7 @@ static herr_t safe_flush(H5FD_t *pub, hid_t dxpl, hbool_t closing)
 {
     (void)dxpl;
     (void)closing;
-    int status = commit((safe_file_t *)pub);
+    int status = commit((safe_file_t *)pub, 0);
     errno = status;
     return status == 0 ? 0 : -1;
 }

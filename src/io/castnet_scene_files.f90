@@ -6,10 +6,11 @@ module castnet_scene_files
   use castnet_error, only: error_t, fail, exit_input
   use castnet_posix, only: read_file, system_words
   use castnet_scene, only: scene_t
+  use castnet_study_request, only: vary_group_t
   use castnet_text, only: text_t, to_text, path_beside
   implicit none
   private
-  public :: scene_files, data_contents, text_contents, check_same_contents
+  public :: scene_files, data_contents, varied_contents, text_contents, check_same_contents
 
 contains
 
@@ -79,6 +80,40 @@ contains
       lines = lines//keys(i)%chars//': '//file_contents(files(i)%chars)//new_line('a')
     end do
   end function data_contents
+
+  !> What is in the files that a study's varied keys name, as `data_contents`, one line for
+  !> each value; where a key says whether a file is read, in the one that the scene names.
+  function varied_contents(scene, vary) result(lines)
+    type(scene_t), intent(in) :: scene             !! the study's base scene
+    type(vary_group_t), intent(in) :: vary(:)
+    character(len=:), allocatable :: lines
+    type(scene_t) :: reader
+    integer :: i, j
+    lines = ''
+    do i = 1, size(vary)
+      select case (trim(vary(i)%key))
+      case ('net/file', 'target/file')
+        if (.not. allocated(vary(i)%values)) cycle
+        do j = 1, size(vary(i)%values)
+          lines = lines//trim(vary(i)%key)//': '// &
+                  file_contents(path_beside(scene%path, without_quotes(trim(vary(i)%values(j)))))//new_line('a')
+        end do
+      case ('net/kind', 'target/shape')
+        reader = scene
+        if (allocated(reader%net)) reader%net%kind = 'file'
+        if (allocated(reader%target)) reader%target%shape = 'mesh'
+        lines = lines//data_contents(reader)
+      end select
+    end do
+  end function varied_contents
+
+  pure function without_quotes(text) result(words)
+    character(len=*), intent(in) :: text
+    character(len=:), allocatable :: words
+    words = text
+    if (len(text) < 2) return
+    if (text(1:1) == "'" .or. text(1:1) == '"') words = text(2:len(text) - 1)
+  end function without_quotes
 
   !> What is in the files that the scene includes, as `data_contents`, in their order. Their
   !> names are left out: the same study from another folder is the same study.

@@ -91,7 +91,7 @@ contains
       call t%real_key('angle', g%angle, 'degree', 'angle of the shot from +x, outward along the diagonals', &
                       low=0.0_wp, high=90.0_wp)
       call t%real_key('corner_cable_length', g%corner_cable_length, 'm', 'natural length of the corner cables', &
-                      low=1.0e-6_wp, high=1.0e6_wp, fallback='sqrt(2) x mesh_length')
+                      low=1.0e-6_wp, high=2.0e6_wp, fallback='sqrt(2) x mesh_length')
     end associate
   end subroutine bullets_keys
 
@@ -227,7 +227,7 @@ contains
       call t%real_key('frame_interval', g%frame_interval, 's', 'between frames of the whole state', &
                       low=1.0e-12_wp, high=1.0e9_wp, fallback='end_time/100')
       call t%real_key('history_interval', g%history_interval, 's', 'between rows of the history', &
-                      low=1.0e-12_wp, high=1.0e9_wp, fallback='frame_interval/10')
+                      low=1.0e-14_wp, high=1.0e9_wp, fallback='frame_interval/10')
       call t%real_key('checkpoint_interval', g%checkpoint_interval, 's', 'simulated time between checkpoints; 0 = none', &
                       low=0.0_wp, high=1.0e9_wp)
       call t%real_key('checkpoint_wall_interval', g%checkpoint_wall_interval, 's', 'wall time between checkpoints; 0 = none', &

@@ -4,21 +4,39 @@ module castnet_summary_writer
   use castnet_kinds, only: wp, i4
   use castnet_error, only: error_t
   use castnet_record, only: summary_t, thresholds_t
-  use castnet_hdf5_file, only: hdf5_file_t, location_t, make_group, close_group, write_value, write_array, set_attribute, &
-                               make_scale, attach_scales
+  use castnet_hdf5_file, only: hdf5_file_t, location_t, make_group, open_group, close_group, empty_group, &
+                               has_entry, write_value, write_array, set_attribute, make_scale, attach_scales
   implicit none
   private
-  public :: write_summary
+  public :: prepare_summary, write_summary
 
 contains
 
-  !> Write the group. The arrays over `verdict_time` are left out when nothing was judged.
+  !> The group without anything, in a file that has it not yet or from a run that goes on:
+  !> it stands from the start, because a link in an old group cannot be added while others
+  !> read the file.
+  subroutine prepare_summary(file, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(error_t), allocatable, intent(inout) :: error
+    integer, parameter :: entries = 48   ! and the attributes
+    type(location_t) :: group
+    if (file%broken) return
+    if (has_entry(file%root, 'summary')) then
+      call open_group(file, file%root, 'summary', group, error)
+      call empty_group(file, group, error)
+    else
+      call make_group(file, file%root, 'summary', group, error, entries)
+    end if
+    call close_group(file, group)
+  end subroutine prepare_summary
+
+  !> Fill the group. The arrays over `verdict_time` are left out when nothing was judged.
   subroutine write_summary(file, summary, error)
     type(hdf5_file_t), intent(inout) :: file
     type(summary_t), intent(in) :: summary
     type(error_t), allocatable, intent(inout) :: error
     type(location_t) :: group
-    call make_group(file, file%root, 'summary', group, error)
+    call open_group(file, file%root, 'summary', group, error)
     if (allocated(summary%measures)) then
       if (size(summary%measures) > 0) call write_measures(file, group, summary, error)
     end if

@@ -11,7 +11,7 @@ module castnet_study
   use castnet_posix, only: wall_seconds, path_kind, path_file, remove_file, make_folder, free_space, file_failure
   use castnet_runner, only: run_options_t
   use castnet_scene, only: scene_t
-  use castnet_scene_files, only: text_contents, data_contents
+  use castnet_scene_files, only: text_contents, data_contents, varied_contents
   use castnet_signals, only: install_signal_handlers, stop_request_code
   use castnet_stable_step, only: spectrum_memory_t
   use castnet_study_case, only: case_setting_t, run_case, run_file, has_run_file, expected_run_bytes
@@ -326,7 +326,7 @@ contains
     type(scene_t), intent(in) :: base
     integer :: i
     character(len=:), allocatable :: text
-    text = request%text//base%text//text_contents(base)//data_contents(base)
+    text = request%text//base%text//text_contents(base)//data_contents(base)//varied_contents(base, request%vary)
     do i = 1, size(request%scene_overrides)
       text = text//request%scene_overrides(i)%chars
     end do

@@ -93,7 +93,7 @@ def check_common(label: str, path: Path, scene_text: str | None) -> None:
     check(f"{label}: default format bound (superblock 0), so that a killed run's file opens", start[8] == 0, start)
     with h5py.File(path) as file:
         bare = [name for name, item in datasets(file).items()
-                if not name.startswith("VTKHDF/") and item.dtype.kind != "O" and "units" not in item.attrs]
+                if not name.startswith("VTKHDF/") and item.dtype.kind not in "OS" and "units" not in item.attrs]
         check(f"{label}: every number has its units", not bare, bare)
         check(f"{label}: units are text", all(isinstance(item.attrs["units"], str) for item in datasets(file).values()
                                               if "units" in item.attrs))

@@ -88,6 +88,27 @@ def check_overlap(folder):
     check(r.returncode == 0 and "warning: target/position: the net starts inside the target" in r.stderr, "a single run warns of it")
 
 
+def check_varied_files(folder):
+    """A mesh that a varied key names is part of the study: with another in its place the journal is refused."""
+    corner = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    write(folder, "mesh_scene.nml", SCENE.replace("shape = 'box' dimensions = 0.1, 0.1, 0.3", "shape = 'mesh' file = 'a.obj'"))
+    write(folder, "meshes.nml", "&study scene = 'mesh_scene.nml' /\n&vary key = 'target/file' values = 'a.obj', 'b.obj' /\n")
+
+    def mesh(name, size):
+        write(folder, name, "".join(f"v {size * x} {size * y} {size * z}\n" for x, y, z in corner)
+              + "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+
+    mesh("a.obj", 0.1)
+    mesh("b.obj", 0.2)
+    r = run(folder, "study", "meshes.nml", "--set", "time/end_time=0.01")
+    check(r.returncode == 0, "a study over meshes " + r.stderr[-200:])
+    r = run(folder, "study", "meshes.nml", "--set", "time/end_time=0.01")
+    check(r.returncode == 0, "goes on " + r.stderr[-200:])
+    mesh("b.obj", 0.3)
+    r = run(folder, "study", "meshes.nml", "--set", "time/end_time=0.01")
+    check(r.returncode == 2 and "another study" in r.stderr, "and is another one when the second mesh has changed " + r.stderr[-200:])
+
+
 def check_searches(folder):
     """One search for each combination of the other keys; shards divide them; collect answers."""
     write(folder, "search.nml", "&study scene = 'scene.nml' seed = 3 seeds = 4 question = 'threshold' /\n"
@@ -303,6 +324,7 @@ def main():
               and int((bad["case/status"] == 0).sum()) == 19, "and names them")
 
     check_overlap(folder)
+    check_varied_files(folder)
     check_searches(folder)
     check_runs(folder)
     check_races(folder)
