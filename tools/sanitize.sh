@@ -1,17 +1,31 @@
 #!/usr/bin/env bash
-# Memory and arithmetic under watch: the unit tests and a few whole runs on a build with
-# gcc's address and undefined-behaviour sanitizers (leaks included), short runs under
-# valgrind's memcheck, and a run's memory after 1e3 and 1e4 steps. Prints 'N passed, N failed'.
+# Memory and arithmetic under watch. Prints 'N passed, N failed'.
 #
-#   tools/sanitize.sh [--quick]     --quick: the unit tests and one run, as tools/test.sh does
+#   tools/sanitize.sh [PART ...]      all parts when none is named
 #
-# Not in CI but for --quick: valgrind takes twenty times as long as the program.
+#   unit [FILTER]  unit tests on a build with gcc's address and undefined-behaviour
+#                  sanitizers, leaks included (10 minutes on one core); with FILTER those
+#                  whose name contains it
+#   runs           the commands and options of a working day on the same build (1 minute)
+#   memcheck       the same commands under valgrind, without sanitizers (5 minutes)
+#   memory         a run's memory after 1e3 and 1e4 steps (1 minute)
+#
+# The two builds take two minutes each. Not in CI.
 set -uo pipefail
 castnet_test_packages=libopenblas-dev   # LAPACK for the references of some tests
 . "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
 cd "$castnet_root" || exit 1
 
-quick=${1:-}
+parts=
+filter=
+for word in "${@:-all}"; do
+  case $word in
+    all) parts="unit runs memcheck memory" ;;
+    unit | runs | memcheck | memory) parts="$parts $word" ;;
+    *) [ "$parts" = " unit" ] && [ -z "$filter" ] && filter=$word || lacking "'$word' is no part: unit [FILTER], runs, memcheck, memory" ;;
+  esac
+done
+wanted() { case " $parts " in *" $1 "*) true ;; *) false ;; esac }
 passed=0
 failed=0
 scratch=$(mktemp -d)
@@ -62,7 +76,6 @@ whole_runs() {
   printf "&study scene = '%s' seeds = 2 /\n&vary key = 'target/mass' values = 2, 3 /\n&vary key = 'contact/impulses' values = 'push_only', 'equality' /\n" \
     "$base" >"$scratch/runs/study.nml"
   expect 0 "$word: run" $before "$castnet" run "$base" $short --output "$scratch/runs/a.h5"
-  [ "$quick" = --quick ] && return
   expect 0 "$word: restart" $before "$castnet" run "$base" $short --set time/end_time=0.03 --set output/verdict_times=0.03 \
     --output "$scratch/runs/a.h5" --restart "$scratch/runs/a.h5.checkpoint"
   expect 0 "$word: contact with friction, dense solver" $before "$castnet" run "$base" $short $touching \
@@ -86,30 +99,36 @@ whole_runs() {
   expect 2 "$word: a wrong scene" $before "$castnet" check "$scratch/runs/wrong.nml"
 }
 
-echo "castnet: building with $sanitizers"
-fpm build --profile debug --flag "$flags" --c-flag "$flags" >"$scratch/log" 2>&1 </dev/null || {
-  tail -40 "$scratch/log"
-  lacking "the build with sanitizers failed; the compiler's words stand above."
+build() {
+  echo "castnet: building $1"
+  fpm build --profile "$2" --flag "$3" --c-flag "$4" >"$scratch/log" 2>&1 </dev/null || {
+    tail -40 "$scratch/log"
+    lacking "the build $1 failed; the compiler's words stand above."
+  }
 }
-expect 0 "sanitizers: unit tests" fpm test --target unit --profile debug --flag "$flags" --c-flag "$flags"
-whole_runs sanitizers "$castnet_root/$(program debug "$flags" "$flags")"
-if [ "$quick" = --quick ]; then
-  echo "$passed passed, $failed failed"
-  [ $failed -eq 0 ]
-  exit
+
+if wanted unit; then
+  build "with $sanitizers" debug "$flags" "$flags"
+  expect 0 "sanitizers: unit tests $filter" fpm test --target unit --profile debug --flag "$flags" --c-flag "$flags" ${filter:+-- "$filter"}
 fi
-expect 0 "sanitizers: accuracy" "$castnet_root/$(program debug "$flags" "$flags")" accuracy "$castnet_root/input/cubesat.nml" --quiet --threads 2 \
-  --set time/end_time=0.02 --set output/verdict_times=0.02 --output "$scratch/runs/accuracy.h5"
+if wanted runs; then
+  build "with $sanitizers" debug "$flags" "$flags"
+  sanitized=$castnet_root/$(program debug "$flags" "$flags")
+  whole_runs sanitizers "$sanitized"
+  expect 0 "sanitizers: accuracy" "$sanitized" accuracy "$castnet_root/input/cubesat.nml" --quiet --threads 2 \
+    --set time/end_time=0.02 --set output/verdict_times=0.02 --output "$scratch/runs/accuracy.h5"
+fi
 
 # A processor that valgrind knows; sanitizers and valgrind exclude each other.
 flags=$(build_flags count)
-fpm build --profile release --flag "$flags" --c-flag "-O2 -g" >"$scratch/log" 2>&1 </dev/null ||
-  lacking "the build for valgrind failed; try: fpm @count"
-counted=$castnet_root/$(program release "$flags" "-O2 -g")
-if command -v valgrind >/dev/null; then
+if wanted memcheck || wanted memory; then
+  build "for valgrind" release "$flags" "-O2 -g"
+  counted=$castnet_root/$(program release "$flags" "-O2 -g")
+fi
+if wanted memcheck && command -v valgrind >/dev/null; then
   # Definite leaks only: HDF5 keeps its free lists, libgomp its threads.
   whole_runs memcheck "$counted" "valgrind -q --error-exitcode=99 --leak-check=full --errors-for-leak-kinds=definite"
-else
+elif wanted memcheck; then
   echo "skip  valgrind is not installed"
 fi
 
@@ -126,15 +145,17 @@ subprocess.run([program, "run", scene, "--quiet", "--force", "--output", scratch
 print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
 END
 }
-few=$(memory 1000)
-many=$(memory 10000)
-# Some pages are the allocator's and vary from run to run: 256 KiB are 28 bytes a step.
-if [ -n "$few" ] && [ -n "$many" ] && [ $((many - few)) -le 256 ]; then
-  passed=$((passed + 1))
-  echo "ok    memory: $few KiB after 1e3 steps, $many KiB after 1e4"
-else
-  failed=$((failed + 1))
-  echo "FAIL  memory: $few KiB after 1e3 steps, $many KiB after 1e4"
+if wanted memory; then
+  few=$(memory 1000)
+  many=$(memory 10000)
+  # Some pages are the allocator's and vary from run to run: 256 KiB are 28 bytes a step.
+  if [ -n "$few" ] && [ -n "$many" ] && [ $((many - few)) -le 256 ]; then
+    passed=$((passed + 1))
+    echo "ok    memory: $few KiB after 1e3 steps, $many KiB after 1e4"
+  else
+    failed=$((failed + 1))
+    echo "FAIL  memory: $few KiB after 1e3 steps, $many KiB after 1e4"
+  fi
 fi
 echo "$passed passed, $failed failed"
 [ $failed -eq 0 ]

@@ -17,8 +17,8 @@ module castnet_run_writer
   use castnet_state, only: state_t
   use castnet_record, only: history_row_t, summary_t
   use castnet_text, only: to_text, byte_text, folder_of
-  use castnet_posix, only: reserve_space, release_space, sync_path, rename_file, remove_file, copy_file, free_space, &
-                           file_failure
+  use castnet_posix, only: reserve_space, release_space, sync_path, rename_file, remove_file, copy_file, file_size, &
+                           free_space, file_failure
   use castnet_hdf5_file, only: hdf5_file_t, create_hdf5, open_hdf5, close_file, flush_file, file_bytes, &
                                has_entry, write_array, make_scale, attach_scales, kind_double
   use castnet_hdf5_series, only: series_t, create_series, open_series, append_frames, truncate_series, close_series, &
@@ -63,6 +63,7 @@ module castnet_run_writer
     real(wp), allocatable :: node(:)              !! scratch: x y z of each node
     integer :: n_node = 0, n_cable = 0
     integer(i8) :: expected = 0                   !! bytes of the whole file, at most
+    integer(i8) :: given_back = 0                 !! bytes of the old file when its copy takes its place
     character(len=:), allocatable :: session      !! name of this run's group in /meta/sessions
   end type run_writer_t
 
@@ -165,10 +166,14 @@ contains
     type(run_writer_t), intent(inout) :: writer
     logical, intent(out) :: in_copy
     type(error_t), allocatable, intent(inout) :: error
+    integer(i8) :: left
     integer :: ignored
     ignored = remove_file(writer%path//'.tmp')
-    in_copy = copy_file(writer%part, writer%path//'.tmp') == 0
+    left = free_space(folder_of(writer%part)//'.')
+    in_copy = left > 2*file_size(writer%part) + tail
+    if (in_copy) in_copy = copy_file(writer%part, writer%path//'.tmp') == 0
     if (in_copy) then
+      writer%given_back = max(0_i8, left - free_space(folder_of(writer%part)//'.'))
       call open_hdf5(writer%file, writer%path//'.tmp', .true., error)
       writer%file%path = writer%part
     else
@@ -285,6 +290,7 @@ contains
     integer(i8) :: needed, left
     if (allocated(error)) return
     left = free_space(folder_of(writer%part)//'.')
+    if (left >= 0) left = left + writer%given_back
     needed = needed_bytes(writer, info)
     if (left < 0 .or. left >= needed) return
     call fail(error, exit_file, "the disk of '"//writer%path//"' is too small: the run writes about "// &
