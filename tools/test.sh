@@ -71,7 +71,7 @@ unit_checked=$(built_tests debug "$(covered_check_flags)" "$covered_c_flags") ||
 
 # Two rows of groups side by side, one for each core; all is built by now (but what the last
 # of the first row needs: fpm would not bear two builds at once).
-checked=(test_cli test_study test_accuracy)
+checked=(test_cli test_study test_accuracy test_net_files)
 groups=2
 if [ -z "$filter" ]; then
   scripts=(test/system/*.py)

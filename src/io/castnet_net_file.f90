@@ -28,6 +28,11 @@ module castnet_net_file
   integer(i8), parameter :: node_bytes = 700, cable_bytes = 500
   integer, parameter :: most_shown = 3          !! examples of one kind of problem
 
+  !> Beyond these squares and sums leave the range of numbers, and nothing is a net [SI].
+  real(wp), parameter :: most_position = 1.0e9_wp, most_velocity = 1.0e6_wp, mass_range(2) = [1.0e-15_wp, 1.0e12_wp], &
+                         length_range(2) = [1.0e-9_wp, 1.0e9_wp], stiffness_range(2) = [1.0e-9_wp, 1.0e18_wp], &
+                         damping_range(2) = [0.0_wp, 1.0e15_wp]
+
   character(len=*), parameter :: node_names = 'position velocity mass fixed', &
     cable_names = 'nodes natural_length axial_stiffness damping'
 
@@ -228,13 +233,13 @@ contains
     n = int(r%n_node)
     net%n_node = n
     call get_reals(r, '/node/position', 3*r%n_node, values)
-    call check_finite(r, '/node/position', values, 3)
+    call check_size(r, '/node/position', values, most_position)
     position = reshape(values, [3, n])
     call get_reals(r, '/node/velocity', 3*r%n_node, values)
-    call check_finite(r, '/node/velocity', values, 3)
+    call check_size(r, '/node/velocity', values, most_velocity)
     velocity = reshape(values, [3, n])
     call get_reals(r, '/node/mass', r%n_node, net%node_mass)
-    call check_positive(r, '/node/mass', net%node_mass, zero_is_allowed=.false.)
+    call check_positive(r, '/node/mass', net%node_mass, mass_range)
     allocate (net%fixed(n), net%is_bullet(n))
     net%fixed = .false.
     net%is_bullet = .false.
@@ -256,9 +261,9 @@ contains
       call get_reals(r, '/cable/natural_length', r%n_cable, net%natural_length)
       call get_reals(r, '/cable/axial_stiffness', r%n_cable, net%axial_stiffness)
       call get_reals(r, '/cable/damping', r%n_cable, net%damping)
-      call check_positive(r, '/cable/natural_length', net%natural_length, zero_is_allowed=.false.)
-      call check_positive(r, '/cable/axial_stiffness', net%axial_stiffness, zero_is_allowed=.false.)
-      call check_positive(r, '/cable/damping', net%damping, zero_is_allowed=.true.)
+      call check_positive(r, '/cable/natural_length', net%natural_length, length_range)
+      call check_positive(r, '/cable/axial_stiffness', net%axial_stiffness, stiffness_range)
+      call check_positive(r, '/cable/damping', net%damping, damping_range)
       call check_range(r, '/cable/nodes', ends, 2, 0_i8, r%n_node - 1)
       call check_cables(r, ends)
       if (r%problems%n > 0) return
@@ -415,36 +420,45 @@ contains
     end if
   end function place
 
-  subroutine check_finite(r, name, values, width)
+  !> Components of vectors: finite, and none larger than `most`.
+  subroutine check_size(r, name, values, most)
     type(reading_t), intent(inout) :: r
     character(len=*), intent(in) :: name
-    real(wp), intent(in) :: values(:)
-    integer, intent(in) :: width
+    real(wp), intent(in) :: values(:)           !! (3 n)
+    real(wp), intent(in) :: most
     integer(i8) :: k
     integer :: shown
     shown = 0
     do k = 1, size(values, kind=i8)
-      if (ieee_is_finite(values(k))) cycle
-      call count_problem(r, name//place(k, width), shown, to_text(values(k))//', where a finite number is needed')
+      if (.not. ieee_is_finite(values(k))) then
+        call count_problem(r, name//place(k, 3), shown, to_text(values(k))//', where a finite number is needed')
+      else if (abs(values(k)) > most) then
+        call count_problem(r, name//place(k, 3), shown, to_text(values(k))//', where '//to_text(-most)//' to '// &
+                           to_text(most)//' is allowed')
+      end if
     end do
     call close_count(r, name, shown)
-  end subroutine check_finite
+  end subroutine check_size
 
-  subroutine check_positive(r, name, values, zero_is_allowed)
+  !> Positive numbers within limits; zero, too, where the lower limit is.
+  subroutine check_positive(r, name, values, limits)
     type(reading_t), intent(inout) :: r
     character(len=*), intent(in) :: name
     real(wp), intent(in) :: values(:)
-    logical, intent(in) :: zero_is_allowed
+    real(wp), intent(in) :: limits(2)
+    character(len=:), allocatable :: wanted
     integer(i8) :: k
     integer :: shown
     shown = 0
     do k = 1, size(values, kind=i8)
       if (ieee_is_finite(values(k))) then
-        if (values(k) >= tiny(1.0_wp)) cycle
-        if (zero_is_allowed .and. values(k) >= 0.0_wp) cycle
+        if (values(k) >= limits(1) .and. values(k) <= limits(2)) cycle
       end if
-      call count_problem(r, name//place(k, 1), shown, to_text(values(k))//', where a number '// &
-                         trim(merge('>= 0', '> 0 ', zero_is_allowed))//' is needed')
+      wanted = 'a number '//trim(merge('> 0 ', '>= 0', limits(1) > 0.0_wp))//' is needed'
+      if (ieee_is_finite(values(k))) then
+        if (values(k) > 0.0_wp) wanted = to_text(limits(1))//' to '//to_text(limits(2))//' is allowed'
+      end if
+      call count_problem(r, name//place(k, 1), shown, to_text(values(k))//', where '//wanted)
     end do
     call close_count(r, name, shown)
   end subroutine check_positive

@@ -134,7 +134,7 @@ def check_bad(folder: Path) -> None:
             f"/{name}: ")
     for name in ("node/position", "node/velocity", "node/mass", "cable/natural_length", "cable/axial_stiffness", "cable/damping"):
         first = (2, 1) if square()[name].ndim == 2 else 2
-        for value in (np.nan, np.inf, -np.inf):
+        for value in (np.nan, np.inf, -np.inf, 1e200):
             bad(folder, f"{name} holds {value}", with_values(name, put(first, value)), f"/{name}[2")
     for name in ("node/mass", "cable/natural_length", "cable/axial_stiffness"):
         for value in (0.0, -1.0, -0.0, 1e-320):
