@@ -8,7 +8,6 @@ module castnet_hdf5_reader
                   h5gn_members_f, h5lget_name_by_idx_f, h5_index_name_f, h5_iter_inc_f, h5tis_variable_str_f, &
                   h5dvlen_reclaim_f, h5p_default_f, h5t_enum_f, &
                   h5t_integer_f, h5t_float_f, h5s_scalar_f, h5s_simple_f
-  use, intrinsic :: ieee_exceptions, only: ieee_all, ieee_get_halting_mode, ieee_set_halting_mode, ieee_set_flag
   use castnet_kinds, only: wp, i8
   use castnet_error, only: error_t, fail, exit_file
   use castnet_hdf5_file, only: hdf5_file_t, memory_type, kind_double, kind_long
@@ -136,7 +135,7 @@ contains
     call h5dopen_f(file%root%id, path, id, status)
     if (status >= 0) then
       buffer = c_loc(values)
-      call read_converted(id, memory_type(kind_double), buffer, status)
+      call h5dread_f(id, memory_type(kind_double), buffer, status)
       call complain(file, path, status, error)
       call h5dclose_f(id, status)
     else
@@ -163,27 +162,13 @@ contains
     call h5dopen_f(file%root%id, path, id, status)
     if (status >= 0) then
       buffer = c_loc(values)
-      call read_converted(id, memory_type(kind_long), buffer, status)
+      call h5dread_f(id, memory_type(kind_long), buffer, status)
       call complain(file, path, status, error)
       call h5dclose_f(id, status)
     else
       call complain(file, path, status, error)
     end if
   end subroutine read_longs
-
-  !> Read with conversion. HDF5 converts what does not fit by the processor's own rules and
-  !> then looks at the result: where exceptions are trapped, it must not be stopped at that.
-  subroutine read_converted(id, memory, buffer, status)
-    integer(hid_t), intent(in) :: id, memory
-    type(c_ptr), intent(inout) :: buffer
-    integer, intent(out) :: status
-    logical :: halting(size(ieee_all))
-    call ieee_get_halting_mode(ieee_all, halting)
-    call ieee_set_halting_mode(ieee_all, .false.)
-    call h5dread_f(id, memory, buffer, status)
-    call ieee_set_flag(ieee_all, .false.)
-    call ieee_set_halting_mode(ieee_all, halting)
-  end subroutine read_converted
 
   !> A text that `write_text` wrote; '' when it is not there or not such a text.
   function read_text(file, path) result(text)
