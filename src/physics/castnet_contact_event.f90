@@ -7,11 +7,11 @@ module castnet_contact_event
   use castnet_state, only: state_t, impulse_bins, impulse_bin_low, impulse_bins_per_decade
   use castnet_rotation, only: rotation_matrix, congruent, multiply, multiply_transposed, &
                               quaternion_product, quaternion_from_rotation_vector, normalise_quaternion
-  use castnet_shape, only: shape_bounds, shape_bounding_radius, signed_distance, segment_distance
+  use castnet_shape, only: signed_distance, segment_distance
   use castnet_compliant_contact, only: is_compliant, list_pushed
   use castnet_contact_list, only: contact_list_t, body_inertia_t, impulse_report_t, reserve_contacts, lane
-  use castnet_broad_phase, only: net_box, boxes_apart, into_body_axes
-  use castnet_near_list, only: near_list_t, reserve_near, rebuild_near, largest_move
+  use castnet_broad_phase, only: into_body_axes, farthest_and_fastest
+  use castnet_near_list, only: near_list_t, reserve_near, rebuild_near, turned_by
   use castnet_narrow_phase, only: append_nodes, append_cables, set_velocities, mend_normal
   use castnet_contact_response, only: contact_solver_t, reserve_solver, resolve_contacts, resolve_depths
   use castnet_contact_projection, only: cable_incidence_t, new_incidence, energy_of_moved_cables, move_nodes
@@ -24,32 +24,31 @@ module castnet_contact_event
   !> Steps between two looks at how long nothing can touch. By the step's number, not by
   !> a counter of ours, so that a restarted run is the same.
   integer(i8), parameter :: horizon_stride = 64
+  real(wp), parameter :: worth_skipping = 6.0_wp  !! steps: to ask costs as much as so many looks
   !> Passes of a projection at most. On a face one is enough; a cable over an edge, whose nearest point and normal
   !> change as it is lifted, took up to some twenty (with 4, captures at restitution 0 kept 0.3 mm and 7 mm).
   integer, parameter :: max_projection = 24
-  !> Skin of the near list in contact thresholds: wide enough to be rebuilt once in some
-  !> hundred steps, narrow enough to hold few.
-  real(wp), parameter :: skin_thresholds = 8.0_wp
+  !> Skin of the near list in contact thresholds: wide enough to be rebuilt once in some tens
+  !> of steps, narrow enough to hold few. Cables cost more to look at than nodes.
+  real(wp), parameter :: skin_thresholds = 24.0_wp, skin_thresholds_cables = 8.0_wp
   !> Depth that is left after a projection and not worth another one, of the threshold [-].
   real(wp), parameter :: projection_tolerance = 1.0e-6_wp
 
   !> Scratch of contact handling, allocated once.
   type :: contact_work_t
     logical :: acted = .false.                 !! the last call changed velocities or positions
-    logical :: engaged = .false.               !! something was near at the last call; saves the box test
-    logical :: placed = .false.                !! y and outside are of now
+    logical :: acted_beyond = .false.          !! and not only at the nodes of `list`
+    logical :: engaged = .false.               !! something is near
+    real(wp) :: move = 0.0_wp                  !! of any node against the surface since the near list was built, at most [m]
     type(contact_list_t) :: list
     type(near_list_t) :: near
     type(contact_solver_t) :: solver
     type(cable_incidence_t) :: incidence
     type(fast_nodes_t) :: fast
     type(impulse_report_t) :: report
-    real(wp), allocatable :: y(:, :)           !! (n_pad,3) nodes in body axes [m]
-    real(wp), allocatable :: outside(:)        !! (n_pad) of the body's box [m]
+    real(wp), allocatable :: y(:, :)           !! (n_pad,3) nodes in body axes, where cables can touch; scratch [m]
+    real(wp), allocatable :: outside(:)        !! (n_pad) scratch: of the body's box [m]
     real(wp), allocatable :: node_gap(:)       !! (n_pad) scratch of the narrow phase [m]
-    real(wp) :: middle(3) = 0.0_wp             !! of the body's box, body axes [m]
-    real(wp) :: half(3) = 0.0_wp               !! its half edges [m]
-    real(wp) :: radius = 0.0_wp                !! the body's bounding radius [m]
   end type contact_work_t
 
 contains
@@ -58,20 +57,17 @@ contains
   subroutine new_contact_work(work, model)
     type(contact_work_t), intent(out) :: work
     type(model_t), intent(in) :: model
-    real(wp) :: lower(3), upper(3)
+    real(wp) :: skin
     if (is_compliant(model)) call reserve_contacts(work%list, model%net%n_node)
     if (.not. is_modelled(model)) return
     call reserve_contacts(work%list, model%net%n_node + merge(model%net%n_cable, 0, model%contact%detect_cables))
     call reserve_solver(work%solver, work%list, model%net%n_node, model%contact)
-    call reserve_near(work%near, model%net, model%contact%detect_cables, skin_thresholds*model%contact%threshold)
+    skin = merge(skin_thresholds_cables, skin_thresholds, model%contact%detect_cables)*model%contact%threshold
+    call reserve_near(work%near, model%net, model%target%shape, model%contact%detect_cables, skin)
     call new_incidence(work%incidence, model%net)
     call new_fast_nodes(work%fast, model%net%n_node)
     allocate (work%y(model%net%n_pad, 3), work%outside(model%net%n_pad), source=0.0_wp)
     allocate (work%node_gap(model%net%n_pad), source=huge(1.0_wp))
-    call shape_bounds(model%target%shape, lower, upper)
-    work%middle = 0.5_wp*(lower + upper)
-    work%half = 0.5_wp*(upper - lower)
-    work%radius = shape_bounding_radius(model%target%shape)
   end subroutine new_contact_work
 
   !> Is there anything for impulses to do?
@@ -92,19 +88,20 @@ contains
     type(error_t), allocatable, intent(inout) :: error
     real(wp) :: r(3, 3)
     work%acted = .false.
+    work%acted_beyond = .false.
     if (is_compliant(model)) call watch_springs(model, state, work)
     if (.not. is_modelled(model)) return
     if (state%time < state%skip_contact_until) return
-    call look_for_fast(model, state, work%radius, work%fast)
-    call place_nodes(model, state, work, r)
-    if (work%placed .and. work%fast%possible) then
-      call catch_fast(model, state, r, work%radius, work%outside, work%fast, work%incidence)
-      if (work%fast%n > 0) call place_nodes(model, state, work, r)
+    call look_near(model, state, work, r)
+    if (work%fast%possible) then
+      call catch_fast(model, state, r, work%near, work%fast, work%incidence)
+      if (work%fast%n > 0) call renew_near(model, state, work, r)
     end if
     call meet_at_end(model, state, work, r)
     if (work%fast%n == 0) return
     call release_fast(model, state, work%fast, work%incidence)
     work%acted = .true.
+    work%acted_beyond = .true.
   end subroutine handle_contacts
 
   !> The contacts of this instant, detected, resolved and put back.
@@ -115,7 +112,7 @@ contains
     real(wp), intent(inout) :: r(3, 3)         !! the target's attitude
     call list_contacts(model, state, work, r)
     if (.not. work%engaged) then
-      if (mod(state%step, horizon_stride) == 0_i8) state%skip_contact_until = earliest_contact_time(model, state)
+      call look_ahead(model, state)
       return
     end if
     if (work%list%n == 0) return
@@ -127,64 +124,76 @@ contains
     end if
   end subroutine meet_at_end
 
+  !> Nothing is near: for how long? Asked now and then, and when an answer has just run out.
+  subroutine look_ahead(model, state)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(inout) :: state
+    real(wp) :: until
+    if (mod(state%step, horizon_stride) /= 0_i8 .and. &
+        state%skip_contact_until <= state%time - 0.999_wp*model%step) return
+    until = earliest_contact_time(model, state)
+    if (until >= state%time + worth_skipping*model%step) state%skip_contact_until = until
+  end subroutine look_ahead
+
   !> Fill `work%list` with every contact of this instant; `r` is the target's attitude.
   subroutine detect_contacts(model, state, work, r)
     type(model_t), intent(in) :: model
     type(state_t), intent(in) :: state
     type(contact_work_t), intent(inout) :: work
     real(wp), intent(out) :: r(3, 3)
-    work%fast%way = 0.0_wp
-    call place_nodes(model, state, work, r)
+    call look_near(model, state, work, r)
     call list_contacts(model, state, work, r)
   end subroutine detect_contacts
 
-  !> The nodes in body axes, and their distance from the body's box; not while the net is
-  !> clear of the body by more than a node can have moved within the step.
-  subroutine place_nodes(model, state, work, r)
+  !> Bring the near list up to date: it stands while no node can have come from beyond it, now
+  !> or on its way within the step.
+  subroutine look_near(model, state, work, r)
     type(model_t), intent(in) :: model
     type(state_t), intent(in) :: state
     type(contact_work_t), intent(inout) :: work
-    real(wp), intent(out) :: r(3, 3)           !! the target's attitude; 0 where nothing was placed
-    real(wp) :: lower(3), upper(3)
-    work%placed = .false.
-    r = 0.0_wp
-    associate (net => model%net, body => state%target)
-      if (.not. work%engaged) then
-        call net_box(net%n_node, net%n_pad, state%node_position, lower, upper)
-        if (boxes_apart(lower, upper, body%position, work%radius + model%contact%threshold + work%fast%way)) return
-      end if
+    real(wp), intent(out) :: r(3, 3)           !! the target's attitude
+    real(wp) :: top, way
+    associate (net => model%net, body => state%target, near => work%near)
       r = rotation_matrix(body%attitude)
-      call into_body_axes(net%n_node, net%n_pad, state%node_position, body%position, r, work%middle, work%half, &
-                          work%y, work%outside)
-      work%placed = .true.
+      call farthest_and_fastest(net%n_node, net%n_pad, state%node_position, state%node_velocity, body%position, &
+                                body%velocity, near%reference, work%move, top)
+      call look_for_fast(model, state, near%radius, top, work%fast)
+      way = merge(work%fast%way, 0.0_wp, work%fast%possible)
+      work%move = work%move + turned_by(near, body%attitude)
+      if (.not. near%built .or. .not. work%move + way*(1.0_wp + 1.0e-9_wp) <= near%skin) call renew_near(model, state, work, r)
     end associate
-  end subroutine place_nodes
+  end subroutine look_near
 
-  !> The contacts of placed nodes.
+  subroutine renew_near(model, state, work, r)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(in) :: state
+    type(contact_work_t), intent(inout) :: work
+    real(wp), intent(in) :: r(3, 3)
+    call rebuild_near(work%near, model%net, model%target%shape, model%net%n_pad, state%node_position, state%target%position, &
+                      state%target%attitude, r, model%contact%threshold, model%contact%detect_cables, work%y, work%outside)
+    work%move = 0.0_wp
+  end subroutine renew_near
+
+  !> The contacts among what is near.
   subroutine list_contacts(model, state, work, r)
     type(model_t), intent(in) :: model
     type(state_t), intent(in) :: state
     type(contact_work_t), intent(inout) :: work
     real(wp), intent(in) :: r(3, 3)
-    real(wp) :: rate(3), move
+    real(wp) :: rate(3)
     work%list%n = 0
-    if (.not. work%placed) return
-    associate (net => model%net, body => state%target, threshold => model%contact%threshold, near => work%near, &
-               with_cables => model%contact%detect_cables)
-      move = huge(1.0_wp)
-      if (near%built) move = largest_move(net%n_node, net%n_pad, work%y, near%reference)
-      if (move > near%skin) then
-        call rebuild_near(near, net, model%target%shape, net%n_pad, work%y, work%outside, work%middle, work%half, &
-                          threshold + near%skin, with_cables)
-        move = 0.0_wp
-      end if
+    associate (net => model%net, body => state%target, threshold => model%contact%threshold, near => work%near)
       work%engaged = near%n_node + near%n_cable > 0
       if (.not. work%engaged) return
-      call append_nodes(near, move, threshold, net, model%target%shape, net%n_pad, state%node_position, work%y, &
+      call append_nodes(near, work%move, threshold, net, model%target%shape, net%n_pad, state%node_position, &
                         body%position, r, model%target%fixed, work%list)
-      if (with_cables) call append_cables(near, move, threshold, net, model%target%shape, net%n_pad, &
-                                          state%node_position, work%y, body%position, r, model%target%fixed, &
-                                          work%node_gap, work%list)
+      if (model%contact%detect_cables) then
+        call into_body_axes(net%n_node, net%n_pad, state%node_position, body%position, r, near%middle, near%half, &
+                            work%y, work%outside)
+        call append_cables(near, work%move, threshold, net, model%target%shape, net%n_pad, &
+                           state%node_position, work%y, body%position, r, model%target%fixed, &
+                           work%node_gap, work%list)
+      end if
       if (work%list%n == 0) return
       rate = multiply(r, body%angular_velocity)
       ! Against the frame: its rate is (0, -n, 0). A fixed target is fixed in the frame.

@@ -45,13 +45,8 @@ contains
     speed = length(drift - state%target%velocity)
     offset = relative_acceleration(model)
     radius = shape_bounding_radius(model%target%shape) + model%contact%threshold
-    wait = huge(1.0_wp)
     associate (net => model%net, x => state%node_position, centre => state%target%position)
-      do i = 1, net%n_node
-        gap = length([x(i, 1) - centre(1), x(i, 2) - centre(2), x(i, 3) - centre(3)]) - radius
-        reach = speed + sqrt(2.0_wp*energy*net%inverse_mass(i))
-        wait = min(wait, time_to_cover(gap, reach, length(offset)))
-      end do
+      wait = first_arrival(net%n_node, net%n_pad, x, centre, radius, net%inverse_mass, energy, speed, length(offset))
       if (model%contact%detect_cables) then
         do i = 1, net%n_cable
           a = net%cable_nodes(1, i)
@@ -68,6 +63,25 @@ contains
       if (model%closing%trigger == trigger_time) time = min(time, max(state%time, model%closing%delay))
     end if
   end function earliest_contact_time
+
+  !> The least time in which one of the nodes can cover its gap.
+  pure real(wp) function first_arrival(n, n_pad, x, centre, radius, inverse_mass, energy, speed, acceleration) result(wait)
+    integer, intent(in) :: n, n_pad
+    real(wp), intent(in) :: x(n_pad, 3), centre(3), radius, inverse_mass(n_pad), energy, speed, acceleration
+    real(wp) :: dx, dy, dz, gap, reach, denominator
+    integer :: i
+    wait = huge(1.0_wp)
+    do i = 1, n
+      dx = x(i, 1) - centre(1)
+      dy = x(i, 2) - centre(2)
+      dz = x(i, 3) - centre(3)
+      gap = max(0.0_wp, sqrt(dx*dx + dy*dy + dz*dz) - radius)
+      reach = speed + sqrt(2.0_wp*energy*inverse_mass(i))
+      ! As time_to_cover, without its branches.
+      denominator = max(reach + sqrt(reach*reach + 2.0_wp*acceleration*gap), max(gap, tiny(1.0_wp))*2.0e-30_wp)
+      wait = min(wait, 2.0_wp*gap/denominator)
+    end do
+  end function first_arrival
 
   !> Does the net's energy keep from rising until something touches?
   pure logical function bound_exists(model, state)

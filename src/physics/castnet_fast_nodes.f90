@@ -15,12 +15,13 @@
 !> bounce is exact without them and of first order in the step with them.
 !>
 !> Costs one pass over the velocities while no node is that fast, and else one more over the
-!> distances from the body's box. What passes both sieves is sieved by exact distances: a
-!> signed distance changes by no more than its point moves. Cables are not followed.
+!> nodes that are near. What passes both sieves is sieved by exact distances: a signed
+!> distance changes by no more than its point moves. Cables are not followed.
 module castnet_fast_nodes
   use castnet_kinds, only: wp
   use castnet_contact_projection, only: cable_incidence_t, energy_of_cables_at
   use castnet_model, only: model_t
+  use castnet_near_list, only: near_list_t
   use castnet_rotation, only: multiply, multiply_transposed
   use castnet_shape, only: signed_distance, signed_distance_within, swept_contact
   use castnet_state, only: state_t
@@ -44,7 +45,6 @@ module castnet_fast_nodes
     real(wp), allocatable :: rest(:)           !! (n_node) time since the node entered [s]; while sieved, its way [m]
     real(wp), allocatable :: back(:, :)        !! (3,n_node) by which it was put back [m]
     real(wp), allocatable :: before(:, :)      !! (3,n_node) its velocity then [m/s]
-    real(wp), allocatable :: square(:)         !! (n_node) scratch: squared speeds against the body's centre [m2/s2]
     real(wp), allocatable :: first(:, :), last(:, :) !! (3,n_node) scratch: ends of the ways, body axes [m]
     real(wp), allocatable :: distance(:, :)    !! (n_node,2) scratch: there [m]
     real(wp), allocatable :: normal(:, :)      !! (3,n_node) scratch
@@ -58,25 +58,25 @@ contains
     type(fast_nodes_t), intent(out) :: fast
     integer, intent(in) :: n_node
     allocate (fast%node(n_node), source=0)
-    allocate (fast%rest(n_node), fast%back(3, n_node), fast%before(3, n_node), fast%square(n_node), source=0.0_wp)
+    allocate (fast%rest(n_node), fast%back(3, n_node), fast%before(3, n_node), source=0.0_wp)
     allocate (fast%first(3, n_node), fast%last(3, n_node), fast%normal(3, n_node), source=0.0_wp)
     allocate (fast%distance(n_node, 2), source=0.0_wp)
   end subroutine new_fast_nodes
 
   !> Is any node fast enough to cross, and how far may one have come within the step?
-  subroutine look_for_fast(model, state, radius, fast)
+  subroutine look_for_fast(model, state, radius, top, fast)
     type(model_t), intent(in) :: model
     type(state_t), intent(in) :: state
     real(wp), intent(in) :: radius             !! bounding radius of the target [m]
+    real(wp), intent(in) :: top                !! largest squared speed of a node against the target's centre [m2/s2]
     type(fast_nodes_t), intent(inout) :: fast
-    real(wp) :: spin, top, reach
+    real(wp) :: spin, reach
     fast%n = 0
     fast%way = 0.0_wp
     fast%possible = .false.
     if (state%step == 0) return
-    associate (net => model%net, body => state%target, threshold => model%contact%threshold)
+    associate (body => state%target, threshold => model%contact%threshold)
       spin = sqrt(body%angular_velocity(1)**2 + body%angular_velocity(2)**2 + body%angular_velocity(3)**2) + abs(model%orbit_rate)
-      call squared_speeds(net%n_node, net%n_pad, state%node_velocity, body%velocity, fast%square, top)
       ! A node that reaches the layer within the step lies within `reach` of the body's
       ! centre, so its way is at most h (|v - V| + spin reach): slower ones need no look.
       if (model%step*spin < 0.5_wp) then
@@ -94,12 +94,11 @@ contains
   end subroutine look_for_fast
 
   !> Put nodes that crossed within the last step back to where they entered the layer.
-  subroutine catch_fast(model, state, r, radius, outside, fast, incidence)
+  subroutine catch_fast(model, state, r, near, fast, incidence)
     type(model_t), intent(in) :: model
     type(state_t), intent(inout) :: state
     real(wp), intent(in) :: r(3, 3)            !! body to inertial
-    real(wp), intent(in) :: radius             !! bounding radius of the target [m]
-    real(wp), intent(in) :: outside(model%net%n_pad) !! distance of each node from the body's box, or less [m]
+    type(near_list_t), intent(in) :: near      !! up to date
     type(fast_nodes_t), intent(inout) :: fast
     type(cable_incidence_t), intent(inout) :: incidence
     real(wp) :: hit(3), fraction
@@ -107,7 +106,7 @@ contains
     integer :: i, k, n
     fast%n = 0
     if (.not. fast%possible) return
-    call list_ways(model, state, r, radius, outside, fast, n)
+    call list_ways(model, state, r, near, fast, n)
     call sieve_ways(model, fast, n)
     associate (net => model%net)
       do k = 1, n
@@ -129,54 +128,42 @@ contains
     end associate
   end subroutine catch_fast
 
-  !> The ways, in body axes, of fast nodes that end near enough to have been in the layer.
-  subroutine list_ways(model, state, r, radius, outside, fast, n)
+  !> The ways, in body axes, of fast nodes that end near enough to have been in the layer:
+  !> those of the near list, unless some node may have come from beyond it within the step.
+  subroutine list_ways(model, state, r, near, fast, n)
     type(model_t), intent(in) :: model
     type(state_t), intent(in) :: state
-    real(wp), intent(in) :: r(3, 3), radius
-    real(wp), intent(in) :: outside(model%net%n_pad)
+    real(wp), intent(in) :: r(3, 3)
+    type(near_list_t), intent(in) :: near
     type(fast_nodes_t), intent(inout) :: fast
     integer, intent(out) :: n
-    real(wp) :: rate(3), arm(3), u(3), way, reach
-    integer, parameter :: block_size = 64
-    integer :: i, block
+    real(wp) :: rate(3), arm(3), u(3), way
+    logical :: all_of_them
+    integer :: i, k
     n = 0
+    all_of_them = fast%way*(1.0_wp + 1.0e-9_wp) > near%skin
     associate (net => model%net, body => state%target, threshold => model%contact%threshold)
       rate = multiply(r, body%angular_velocity)
       if (.not. model%target%fixed) rate(2) = rate(2) + model%orbit_rate
-      reach = (threshold + fast%way)*(1.0_wp + 1.0e-9_wp)
-      ! Block by block: most blocks hold no candidate, which a vector loop sees at once.
-      do block = 1, net%n_node, block_size
-        if (.not. any_near(min(block_size, net%n_node - block + 1), outside(block), fast%square(block), reach, fast%slow)) cycle
-        do i = block, min(net%n_node, block + block_size - 1)
-          if (outside(i) > reach .or. fast%square(i) <= fast%slow) cycle
-          if (net%inverse_mass(i) <= 0.0_wp) cycle
-          arm = [state%node_position(i, 1), state%node_position(i, 2), state%node_position(i, 3)] - body%position
-          u = [state%node_velocity(i, 1), state%node_velocity(i, 2), state%node_velocity(i, 3)] - body%velocity - cross(rate, arm)
-          way = model%step*sqrt(u(1)*u(1) + u(2)*u(2) + u(3)*u(3))
-          if (way <= threshold) cycle
-          if (sqrt(arm(1)*arm(1) + arm(2)*arm(2) + arm(3)*arm(3)) - way > radius + threshold) cycle
-          n = n + 1
-          fast%node(n) = i
-          fast%rest(n) = way
-          fast%last(:, n) = multiply_transposed(r, arm)
-          fast%first(:, n) = fast%last(:, n) - model%step*multiply_transposed(r, u)
-        end do
+      do k = 1, merge(net%n_node, near%n_node, all_of_them)
+        i = k
+        if (.not. all_of_them) i = near%node(k)
+        u = [state%node_velocity(i, 1), state%node_velocity(i, 2), state%node_velocity(i, 3)] - body%velocity
+        if (u(1)*u(1) + u(2)*u(2) + u(3)*u(3) <= fast%slow) cycle
+        if (net%inverse_mass(i) <= 0.0_wp) cycle
+        arm = [state%node_position(i, 1), state%node_position(i, 2), state%node_position(i, 3)] - body%position
+        u = u - cross(rate, arm)
+        way = model%step*sqrt(u(1)*u(1) + u(2)*u(2) + u(3)*u(3))
+        if (way <= threshold) cycle
+        if (sqrt(arm(1)*arm(1) + arm(2)*arm(2) + arm(3)*arm(3)) - way > near%radius + threshold) cycle
+        n = n + 1
+        fast%node(n) = i
+        fast%rest(n) = way
+        fast%last(:, n) = multiply_transposed(r, arm)
+        fast%first(:, n) = fast%last(:, n) - model%step*multiply_transposed(r, u)
       end do
     end associate
   end subroutine list_ways
-
-  !> Is any of the nodes both near enough and fast enough?
-  pure logical function any_near(n, outside, square, reach, slow)
-    integer, intent(in) :: n
-    real(wp), intent(in) :: outside(n), square(n), reach, slow
-    integer :: i, found
-    found = 0
-    do i = 1, n
-      found = found + merge(1, 0, outside(i) <= reach .and. square(i) > slow)
-    end do
-    any_near = found > 0
-  end function any_near
 
   !> Drop the ways that cannot have entered the layer from outside: those that end, or
   !> begin and end, too far from the body, and those that begin within the layer.
@@ -258,18 +245,5 @@ contains
     if (end_distance(1) > model%contact%threshold) return
     crossed = end_normal(1, 1)*normal(1, 1) + end_normal(2, 1)*normal(2, 1) + end_normal(3, 1)*normal(3, 1) < same_side
   end subroutine follow
-
-  !> Squared speeds of the nodes against the body's centre of mass, and the largest [m2/s2].
-  pure subroutine squared_speeds(n, n_pad, v, centre, square, top)
-    integer, intent(in) :: n, n_pad
-    real(wp), intent(in) :: v(n_pad, 3), centre(3)
-    real(wp), intent(out) :: square(n), top
-    integer :: i
-    top = 0.0_wp
-    do i = 1, n
-      square(i) = (v(i, 1) - centre(1))**2 + (v(i, 2) - centre(2))**2 + (v(i, 3) - centre(3))**2
-      top = max(top, square(i))
-    end do
-  end subroutine squared_speeds
 
 end module castnet_fast_nodes

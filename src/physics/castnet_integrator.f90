@@ -17,7 +17,7 @@ module castnet_integrator
   implicit none
   private
   public :: flow_work_t, new_flow_work, rk4_step, midpoint_step, midpoint_begin, midpoint_damping, &
-            midpoint_positions, midpoint_disturbed
+            midpoint_positions, midpoint_disturbed, midpoint_disturbed_at
 
   !> Scratch of the cable forces.
   type :: cable_work_t
@@ -241,6 +241,22 @@ contains
     type(flow_work_t), intent(inout) :: work
     work%midpoint_ready = .false.
   end subroutine midpoint_disturbed
+
+  !> The same where only these nodes' positions or velocities have changed: all others have
+  !> their next midpoint, by the very sum that would be taken anew. The state is settled.
+  subroutine midpoint_disturbed_at(state, work, h, node)
+    type(state_t), intent(in) :: state
+    type(flow_work_t), intent(inout) :: work
+    real(wp), intent(in) :: h         !! [s]
+    integer, intent(in) :: node(:)    !! counted from 1, may be repeated
+    integer :: k, c
+    if (.not. work%midpoint_ready) return
+    do c = 1, 3
+      do k = 1, size(node)
+        work%xa(node(k), c) = state%node_position(node(k), c) + (0.5_wp*h)*state%node_velocity(node(k), c)
+      end do
+    end do
+  end subroutine midpoint_disturbed_at
 
   !> Half of the work of the threads' impulse at this velocity: called before and after
   !> the velocities move.

@@ -20,28 +20,30 @@ module castnet_narrow_phase
 contains
 
   !> Nodes within the threshold, as node contacts. A fixed node on a fixed target is no contact.
-  subroutine append_nodes(near, move, threshold, net, shape, n_pad, x, y, centre, r, target_fixed, list)
+  subroutine append_nodes(near, move, threshold, net, shape, n_pad, x, centre, r, target_fixed, list)
     type(near_list_t), intent(inout) :: near
     real(wp), intent(in) :: move, threshold              !! since the near list was built; [m]
     type(net_t), intent(in) :: net
     type(shape_t), intent(in) :: shape
     integer, intent(in) :: n_pad
-    real(wp), intent(in) :: x(n_pad, 3), y(n_pad, 3)     !! inertial, body axes [m]
+    real(wp), intent(in) :: x(n_pad, 3)                  !! inertial [m]
     real(wp), intent(in) :: centre(3), r(3, 3)           !! body to inertial
     logical, intent(in) :: target_fixed
     type(contact_list_t), intent(inout) :: list
-    real(wp) :: reach
+    real(wp) :: reach, box_reach
     integer :: k, i, n
     reach = (threshold + move)*(1.0_wp + 1.0e-12_wp)
+    box_reach = threshold*(1.0_wp + 1.0e-12_wp) + 1.0e-12_wp*near%radius
+    call place_noted(near%n_node, near%node, n_pad, x, centre, r, near%middle, near%half, near%body, near%outside)
     n = 0
     do k = 1, near%n_node
-      if (near%node_distance(k) > reach) cycle
-      i = near%node(k)
+      ! Outside of the body's box by more than the threshold: no need of the exact distance.
+      if (near%node_distance(k) > reach .or. near%outside(k) > box_reach) cycle
       n = n + 1
-      near%found(n) = i
-      near%a(1, n) = y(i, 1)
-      near%a(2, n) = y(i, 2)
-      near%a(3, n) = y(i, 3)
+      near%found(n) = near%node(k)
+      near%a(1, n) = near%body(k, 1)
+      near%a(2, n) = near%body(k, 2)
+      near%a(3, n) = near%body(k, 3)
     end do
     if (n == 0) return
     call signed_distance_within(shape, threshold, n, near%a, near%distance, near%normal)
@@ -54,6 +56,27 @@ contains
                      near%distance(k), near%normal(:, k))
     end do
   end subroutine append_nodes
+
+  !> The noted nodes in body axes, and how far outside of the body's box each one is.
+  pure subroutine place_noted(m, node, n_pad, x, centre, r, middle, half, y, outside)
+    integer, intent(in) :: m, node(m), n_pad
+    real(wp), intent(in) :: x(n_pad, 3), centre(3), r(3, 3), middle(3), half(3)
+    real(wp), contiguous, intent(inout) :: y(:, :), outside(:) !! (>=m,3), (>=m) [m]
+    real(wp) :: dx, dy, dz, u, v, w
+    integer :: k
+    do k = 1, m
+      dx = x(node(k), 1) - centre(1)
+      dy = x(node(k), 2) - centre(2)
+      dz = x(node(k), 3) - centre(3)
+      u = r(1, 1)*dx + r(2, 1)*dy + r(3, 1)*dz
+      v = r(1, 2)*dx + r(2, 2)*dy + r(3, 2)*dz
+      w = r(1, 3)*dx + r(2, 3)*dy + r(3, 3)*dz
+      y(k, 1) = u
+      y(k, 2) = v
+      y(k, 3) = w
+      outside(k) = max(max(abs(u - middle(1)) - half(1), abs(v - middle(2)) - half(2)), abs(w - middle(3)) - half(3))
+    end do
+  end subroutine place_noted
 
   !> Cables within the threshold that do not lie on their nodes. Comes after the nodes.
   subroutine append_cables(near, move, threshold, net, shape, n_pad, x, y, centre, r, target_fixed, node_gap, list)

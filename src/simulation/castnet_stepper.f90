@@ -7,7 +7,8 @@ module castnet_stepper
   use castnet_error, only: error_t
   use castnet_contact_event, only: contact_work_t, new_contact_work, handle_contacts
   use castnet_external_work, only: has_net_field, has_external_potential, external_potential
-  use castnet_integrator, only: flow_work_t, new_flow_work, rk4_step, midpoint_step, midpoint_positions, midpoint_disturbed
+  use castnet_integrator, only: flow_work_t, new_flow_work, rk4_step, midpoint_step, midpoint_positions, midpoint_disturbed, &
+                                midpoint_disturbed_at
   use castnet_model, only: model_t, method_midpoint, method_adaptive
   use castnet_state, only: state_t
   implicit none
@@ -101,7 +102,15 @@ contains
     if (state%time < state%skip_contact_until) return
     call settle(model, state, work)
     call handle_contacts(model, state, work%contact, error)
-    if (work%contact%acted) call midpoint_disturbed(work%flow)
+    if (.not. work%contact%acted) return
+    if (work%contact%acted_beyond) then
+      call midpoint_disturbed(work%flow)
+    else
+      associate (list => work%contact%list)
+        call midpoint_disturbed_at(state, work%flow, model%step, list%node_a(:list%n))
+        call midpoint_disturbed_at(state, work%flow, model%step, list%node_b(:list%n))
+      end associate
+    end if
   end subroutine meet
 
   !> Bring the state to the end of the step for whoever looks at it.
