@@ -11,6 +11,7 @@
  */
 #define _GNU_SOURCE
 #include <errno.h>
+#include <pthread.h>
 #include <signal.h>
 #include <stdint.h>
 #include <stdlib.h>
@@ -48,9 +49,25 @@ static void say_what_to_do(void)
         "command, the scene and what 'castnet version' prints\n");
 }
 
-/* Only calls that a signal handler may make. */
-static void on_crash(int number)
+static _Thread_local uintptr_t stack_end = 0; /* the lowest address of this thread's stack; 0: not known */
+
+/* Did a wild address lie where the stack of this thread would go on? */
+static int is_stack_full(int number, const siginfo_t *info)
 {
+    uintptr_t at = (uintptr_t)info->si_addr;
+    return number == SIGSEGV && info->si_code > 0 && stack_end > 0 && at < stack_end + (1u << 16) && at + (1u << 26) > stack_end;
+}
+
+/* Only calls that a signal handler may make. */
+static void on_crash(int number, siginfo_t *info, void *context)
+{
+    (void)context;
+    if (is_stack_full(number, info)) {
+        say("castnet: the stack of a thread is full; allow more with OMP_STACKSIZE=256M (other threads) or ulimit -s unlimited "
+            "(the first)\n");
+        say_what_to_do();
+        _exit(1);
+    }
     if (number == SIGILL) {
         say("castnet: this program was built for another kind of processor; build it again on this machine "
             "(fpm @release)\n");
@@ -76,18 +93,37 @@ static void on_exit_of_another(void)
  * does not end because the disk of its log is full. */
 void castnet_print_error(const char *text, int64_t n) { put(STDERR_FILENO, text, n); }
 
+/* An overflown stack has no room for a handler: each thread gets other room for it, to the
+ * end of the process, as the threads of a team are there to its end. */
+void castnet_guard_thread(void)
+{
+    static const size_t room = 64 * 1024;
+    static _Thread_local void *aside = NULL;
+    pthread_attr_t attributes;
+    stack_t stack;
+    void *low;
+    size_t size;
+    if (aside != NULL) return;
+    aside = malloc(room);
+    if (aside == NULL) return;
+    if (pthread_getattr_np(pthread_self(), &attributes) == 0) {
+        if (pthread_attr_getstack(&attributes, &low, &size) == 0) stack_end = (uintptr_t)low;
+        pthread_attr_destroy(&attributes);
+    }
+    memset(&stack, 0, sizeof stack);
+    stack.ss_sp = aside;
+    stack.ss_size = room;
+    (void)sigaltstack(&stack, NULL);
+}
+
 void castnet_guard_process(void)
 {
     static const int caught[] = {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT};
-    static char aside[64 * 1024]; /* an overflown stack has no room for a handler */
-    stack_t stack;
     struct sigaction action;
-    memset(&stack, 0, sizeof stack);
-    stack.ss_sp = aside;
-    stack.ss_size = sizeof aside;
+    castnet_guard_thread();
     memset(&action, 0, sizeof action);
-    action.sa_handler = on_crash;
-    action.sa_flags = SA_RESETHAND | (sigaltstack(&stack, NULL) == 0 ? SA_ONSTACK : 0);
+    action.sa_sigaction = on_crash;
+    action.sa_flags = SA_RESETHAND | SA_SIGINFO | SA_ONSTACK;
     sigemptyset(&action.sa_mask);
     for (size_t i = 0; i < sizeof caught / sizeof caught[0]; i++) sigaction(caught[i], &action, NULL);
     atexit(on_exit_of_another);

@@ -5,12 +5,17 @@ module castnet_process_guard
   use, intrinsic :: iso_c_binding, only: c_int, c_char, c_int64_t
   implicit none
   private
-  public :: guard_process, end_process, print_line, print_error
+  public :: guard_process, guard_thread, end_process, print_line, print_error
 
   interface
     !> To be called first: crashes and errors of the Fortran runtime end in one sentence.
     subroutine guard_process() bind(c, name='castnet_guard_process')
     end subroutine guard_process
+
+    !> To be called by every thread of a team: a stack that is full is told as well. Costs
+    !> nothing the second time.
+    subroutine guard_thread() bind(c, name='castnet_guard_thread')
+    end subroutine guard_thread
 
     subroutine castnet_end_process(code) bind(c)
       import :: c_int

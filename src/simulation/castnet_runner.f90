@@ -12,6 +12,7 @@ module castnet_runner
                          end_progress
   use castnet_output_files, only: check_output, protect_inputs, can_continue, stage_part, clear_leftovers
   use castnet_posix, only: wall_seconds
+  use castnet_process_guard, only: guard_thread
   use castnet_record, only: summary_t, history_row_t
   use castnet_renumber, only: in_original_order
   use castnet_restart_check, only: check_same_scene
@@ -118,6 +119,9 @@ contains
     call take_lock(lock, options%output, error)
     if (allocated(error)) return
     call install_signal_handlers()
+    !$omp parallel num_threads(options%threads)
+    call guard_thread()
+    !$omp end parallel
     call run_locked(scene, effective_text, contents, options, log, sim, summary, ledger, error)
     call release_lock(lock)
   end subroutine run_scene

@@ -16,6 +16,7 @@ module castnet_accuracy
   use castnet_model_builder, only: file_net_t
   use castnet_polygon, only: loop_area
   use castnet_posix, only: wall_seconds
+  use castnet_process_guard, only: guard_thread
   use castnet_scene, only: scene_t
   use castnet_scene_net, only: load_scene_net
   use castnet_simulation, only: simulation_t, due_t, start, run_to_next, is_finished, take_measures, frame_taken
@@ -208,6 +209,7 @@ contains
     allocate (flights(members))
     !$omp parallel do default(shared) private(m) schedule(dynamic, 1) num_threads(n_thread)
     do m = 1, members
+      call guard_thread()
       call fly(scene, file_net, setting, m - 1, nudge, .false., n_thread == 1, flights(m))
     end do
     !$omp end parallel do

@@ -9,6 +9,7 @@ module castnet_study
   use castnet_lock, only: lock_t, take_lock, release_lock
   use castnet_log, only: log_t, log_note, log_result, log_progress, end_progress
   use castnet_posix, only: wall_seconds, path_kind, path_file, remove_file, make_folder, free_space, file_failure
+  use castnet_process_guard, only: guard_thread
   use castnet_runner, only: run_options_t
   use castnet_scene, only: scene_t
   use castnet_scene_files, only: text_contents, data_contents, varied_contents
@@ -462,6 +463,7 @@ contains
     !$omp parallel do default(shared) private(i, row, finished, stop_now, problem) schedule(dynamic, 1) &
     !$omp   num_threads(size(batch%memory))
     do i = 1, size(cases)
+      call guard_thread()
       !$omp critical (castnet_text)
       stop_now = allocated(batch%error) .or. batch%stop_code /= exit_done
       !$omp end critical (castnet_text)

