@@ -21,7 +21,7 @@ module castnet_cable_force
   integer, parameter :: chunk_size = 128  !! nodes; all of a chunk's data stay in the first cache
   integer, parameter :: lanes = 8         !! partial sums of a fixed-order sum
   integer, parameter :: n_full = 2        !! diagonals that every node has room for: all those of a square net
-  integer, parameter :: window = 4*chunk_size !! nodes that a slab's forces move on by
+  integer, parameter :: window = 8*chunk_size !! nodes that a slab's forces move on by
   real(wp), parameter :: smallest_square = 1.0e-60_wp !! keeps the reciprocal of a length finite [m2]
 
   !> A range of nodes that one thread works on, with the forces of its cables on their

@@ -10,6 +10,7 @@ module castnet_integrator
   use castnet_state, only: state_t, body_state_t
   use castnet_body_dynamics, only: body_rate_t, body_rate, body_advance, body_rk4, body_alone, body_kick, &
                                    orbital_acceleration
+  use castnet_cable_plan, only: cable_plan_t
   use castnet_cable_force, only: slab_t, chunk_size, new_slabs, slab_halo, chunk_cables, chunk_rest, &
                                  loose_cables, sum_in_order
   use castnet_closing_thread, only: impulse_work
@@ -44,6 +45,7 @@ module castnet_integrator
     logical :: positions_lag = .false.             !! state%node_position is still that of some step before
   end type flow_work_t
 
+  integer, parameter :: loose_worth_threads = 1024 !! fewer loose cables are not worth a parallel region
   real(wp), parameter :: extrapolation = 0.4_wp    !! see midpoint_damping
 
   !> What a sweep does with the accelerations a of its nodes.
@@ -330,10 +332,7 @@ contains
 
     floor_tension = 0.0_wp
     if (.not. model%net%clamp_tension) floor_tension = -huge(1.0_wp)
-    associate (plan => model%net%plan)
-      if (plan%n_loose > 0) call loose_cables(plan, 1, plan%n_loose, n_pad, x, v, floor_tension, &
-                                              cables%loose_force, cables%loose_power)
-    end associate
+    if (model%net%plan%n_loose > 0) call sweep_loose(model%net%plan, cables, n_pad, x, v, floor_tension)
     if (size(cables%slabs) == 1) then
       call sweep_slab(model, cables, cables%slabs(1), stage, n_pad, h, floor_tension, x, v, x0, v0, out1, out2)
     else
@@ -348,6 +347,28 @@ contains
     power(2) = 0.0_wp
     if (allocated(cables%support_power)) power(2) = sum_in_order(size(cables%support_power), cables%support_power)
   end subroutine sweep
+
+  !> All loose cables, on the slabs' threads where there are many.
+  subroutine sweep_loose(plan, cables, n_pad, x, v, floor_tension)
+    type(cable_plan_t), intent(in) :: plan
+    type(cable_work_t), intent(inout) :: cables
+    integer, intent(in) :: n_pad
+    real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3), floor_tension
+    integer :: s, n, share
+
+    n = size(cables%slabs)
+    if (n == 1 .or. plan%n_loose < loose_worth_threads) then
+      call loose_cables(plan, 1, plan%n_loose, n_pad, x, v, floor_tension, cables%loose_force, cables%loose_power)
+      return
+    end if
+    share = (plan%n_loose + n - 1)/n
+    !$omp parallel do default(shared) private(s) schedule(static, 1) num_threads(n)
+    do s = 1, n
+      call loose_cables(plan, (s - 1)*share + 1, min(s*share, plan%n_loose), n_pad, x, v, floor_tension, &
+                        cables%loose_force, cables%loose_power)
+    end do
+    !$omp end parallel do
+  end subroutine sweep_loose
 
   !> The chunks of one slab.
   subroutine sweep_slab(model, cables, slab, stage, n_pad, h, floor_tension, x, v, x0, v0, out1, out2)

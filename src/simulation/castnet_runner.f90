@@ -35,7 +35,7 @@ module castnet_runner
 
   !> Node-steps between two looks at the signals and the clock: some milliseconds at the
   !> most, a single step of a large net.
-  integer, parameter :: node_steps_per_look = 20000
+  integer, parameter :: node_steps_per_look = 200000
 
   !> What the command line says about a run.
   type :: run_options_t

@@ -15,24 +15,14 @@ import subprocess
 import sys
 import tempfile
 
+from bench_page import build_bench
+
 HERE = os.path.dirname(os.path.abspath(__file__))
-ROOT = os.path.dirname(os.path.dirname(HERE))
 BASELINE = os.path.join(HERE, "instructions.csv")
 TOLERANCE = 0.03
 SQUARES = 20
 CABLES = 2 * SQUARES * (SQUARES + 1) + 4
 STEPS = (20, 220)
-
-
-def count_flags():
-    text = open(os.path.join(ROOT, "fpm.rsp"), encoding="utf-8").read()
-    return re.search(r'@count\n(?:options .*\n)*?options .*--flag "([^"]*)"', text).group(1)
-
-
-def build():
-    command = ["fpm", "test", "--target", "bench", "--profile", "release", "--flag", count_flags(), "--runner", "echo"]
-    out = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout
-    return os.path.join(ROOT, out.strip().splitlines()[-1].split()[0])
 
 
 def instructions(program, arguments):
@@ -47,7 +37,7 @@ def main():
         print("valgrind is not installed: instructions are not counted")
         print("1 passed, 0 failed")
         return 0
-    program = build()
+    program = build_bench("count")
     measured = {}
     for method in ("rk4", "midpoint"):
         few, many = (instructions(program, ["steps", str(SQUARES), method, str(n)]) for n in STEPS)
