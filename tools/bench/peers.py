@@ -40,9 +40,12 @@ import matplotlib.pyplot as plt
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 ROOT = os.path.dirname(os.path.dirname(HERE))
-sys.path[:0] = [HERE, os.path.join(ROOT, "tools")]
+TOOLS = os.path.join(ROOT, "tools")
+sys.path[:0] = [HERE, TOOLS]
 import peer_codes
 from castnet_runner import find_castnet
+
+sys.path.remove(TOOLS)   # numba asks for a module named coverage and must not get tools/coverage.py
 
 DEPLOYMENT = os.path.join(ROOT, "input", "deployment_rocket.nml")
 CAPTURE = os.path.join(ROOT, "input", "rocket_x_0.4.nml")
