@@ -22,7 +22,7 @@ module castnet_hdf5_file
                   h5t_std_i64le, h5t_ieee_f64le, h5t_ieee_f32le, h5f_acc_trunc_f, h5f_acc_rdonly_f, h5f_acc_rdwr_f, &
                   h5f_scope_local_f, h5s_scalar_f, h5pcreate_f, h5pclose_f, h5p_file_access_f, h5p_dataset_xfer_f, &
                   h5pset_buffer_f, h5pset_cache_f, h5kind_to_type, h5_integer_kind
-  use h5ds, only: h5dsset_scale_f, h5dsattach_scale_f
+  use h5ds, only: h5dsset_scale_f
   use castnet_kinds, only: wp, sp, i4, i8
   use castnet_error, only: error_t, fail, exit_file
   use castnet_posix, only: clear_system_error, system_error, system_words, is_disk_full, default_environment
@@ -49,11 +49,28 @@ module castnet_hdf5_file
     character(len=:), allocatable :: name       !! for messages
   end type location_t
 
+  integer, parameter :: longest_scale = 64        !! longer names are looked up in the file
+
+  !> A dimension scale that this run has made.
+  type :: scale_t
+    character(len=longest_scale) :: name = ''   !! path from the root
+    integer(i8) :: reference = 0
+  end type scale_t
+
+  !> A dataset's dimension along a scale, of which the scale is still to be told.
+  type :: use_of_scale_t
+    integer(i8) :: scale = 0, dataset = 0       !! references
+    integer(c_int) :: dimension = 0             !! in C's order, from 0
+  end type use_of_scale_t
+
   type :: hdf5_file_t
     type(location_t) :: root
     character(len=:), allocatable :: path
     logical :: is_open = .false.
     logical :: broken = .false.                 !! a call has failed
+    type(scale_t), allocatable :: scales(:)     !! the first n_scale
+    type(use_of_scale_t), allocatable :: uses(:) !! the first n_use
+    integer :: n_scale = 0, n_use = 0
   end type hdf5_file_t
 
   interface
@@ -61,6 +78,24 @@ module castnet_hdf5_file
       import :: c_int, hid_t
       integer(hid_t), value :: access
     end function castnet_use_safe_driver
+    integer(i8) function castnet_reference(object) bind(c)
+      import :: i8, hid_t
+      integer(hid_t), value :: object
+    end function castnet_reference
+    integer(c_int) function castnet_name_dimensions(dataset, rank, scale) bind(c)
+      import :: c_int, hid_t, i8
+      integer(hid_t), value :: dataset
+      integer(c_int), value :: rank
+      integer(i8), intent(in) :: scale(*)
+    end function castnet_name_dimensions
+    integer(c_int) function castnet_refer_back(file, scale, n, dataset, dimension) bind(c)
+      import :: c_int, hid_t, i8
+      integer(hid_t), value :: file
+      integer(i8), value :: scale
+      integer(c_int), value :: n
+      integer(i8), intent(in) :: dataset(*)
+      integer(c_int), intent(in) :: dimension(*)
+    end function castnet_refer_back
   end interface
 
   !> A number by its kind; of rank 0.
@@ -189,6 +224,7 @@ contains
     type(hdf5_file_t), intent(inout) :: file
     type(error_t), allocatable, intent(inout) :: error
     integer :: status
+    call tell_scales(file, error)
     if (file%broken .or. .not. file%is_open) return
     call clear_system_error()
     call h5fflush_f(file%root%id, h5f_scope_local_f, status)
@@ -201,6 +237,7 @@ contains
     type(error_t), allocatable, intent(inout) :: error
     integer :: status
     if (.not. file%is_open) return
+    call tell_scales(file, error)
     file%is_open = .false.
     if (file%broken) return
     call clear_system_error()
@@ -667,36 +704,104 @@ contains
     type(error_t), allocatable, intent(inout) :: error
     integer(hid_t) :: id
     integer :: status
+    type(scale_t) :: scale
     if (file%broken) return
     call h5dopen_f(parent%id, name, id, status)
     if (status >= 0) call h5dsset_scale_f(id, status, name)
     call check(file, status, 'make a dimension scale of', joined(parent, name), error)
-    if (status >= 0) call h5dclose_f(id, status)
+    if (status < 0) return
+    scale%name = joined(parent, name)
+    scale%reference = castnet_reference(id)
+    call h5dclose_f(id, status)
+    if (len(joined(parent, name)) > longest_scale) return
+    if (.not. allocated(file%scales)) allocate (file%scales(8))
+    if (file%n_scale == size(file%scales)) file%scales = [file%scales, file%scales]
+    file%n_scale = file%n_scale + 1
+    file%scales(file%n_scale) = scale
   end subroutine make_scale
 
   !> Name the dimensions of a dataset, in Fortran's order, by scales beside it or given by
-  !> their path from the root ('/xyz').
+  !> their path from the root ('/xyz'). The scales are told at the next flush, all at once.
   subroutine attach_scales(file, parent, dataset, scales, error)
     type(hdf5_file_t), intent(inout) :: file
     type(location_t), intent(in) :: parent
     character(len=*), intent(in) :: dataset
     character(len=*), intent(in) :: scales(:)
     type(error_t), allocatable, intent(inout) :: error
-    integer(hid_t) :: id, scale
-    integer :: status, i
+    type(use_of_scale_t) :: one
+    integer(i8) :: reference(size(scales))
+    integer(hid_t) :: id
+    integer :: status, ignored, i, n
     if (file%broken) return
+    n = size(scales)
     call h5dopen_f(parent%id, dataset, id, status)
     call check(file, status, 'open', joined(parent, dataset), error)
     if (status < 0) return
-    do i = 1, size(scales)
-      call h5dopen_f(parent%id, trim(scales(i)), scale, status)
-      ! this call alone of the Fortran interface counts dimensions in C's order
-      if (status >= 0) call h5dsattach_scale_f(id, scale, size(scales) + 1 - i, status)
-      call check(file, status, 'name the dimension '//trim(scales(i))//' of', joined(parent, dataset), error)
-      if (status < 0) return
-      call h5dclose_f(scale, status)
+    do i = 1, n
+      ! here dimensions count in C's order
+      reference(n + 1 - i) = scale_reference(file, parent, trim(scales(i)))
     end do
-    call h5dclose_f(id, status)
+    status = castnet_name_dimensions(id, n, reference)
+    if (any(reference == 0)) status = -1
+    call check(file, status, 'name the dimensions of', joined(parent, dataset), error)
+    if (status < 0) return
+    one%dataset = castnet_reference(id)
+    call h5dclose_f(id, ignored)
+    if (.not. allocated(file%uses)) allocate (file%uses(64))
+    do i = 1, n
+      one%scale = reference(i)
+      one%dimension = i - 1
+      if (file%n_use == size(file%uses)) file%uses = [file%uses, file%uses]
+      file%n_use = file%n_use + 1
+      file%uses(file%n_use) = one
+    end do
   end subroutine attach_scales
+
+  !> Of a scale beside a dataset or, with a '/' in front, anywhere; 0: there is none.
+  integer(i8) function scale_reference(file, parent, name) result(reference)
+    type(hdf5_file_t), intent(in) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name
+    character(len=:), allocatable :: path
+    integer(hid_t) :: id
+    integer :: status, i
+    path = name
+    if (name(1:1) /= '/') path = joined(parent, name)
+    do i = 1, file%n_scale
+      if (file%scales(i)%name /= path) cycle
+      reference = file%scales(i)%reference
+      return
+    end do
+    reference = 0
+    call h5dopen_f(parent%id, name, id, status)
+    if (status < 0) return
+    reference = castnet_reference(id)
+    call h5dclose_f(id, status)
+  end function scale_reference
+
+  !> Tell every scale which datasets have come to use it.
+  subroutine tell_scales(file, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(error_t), allocatable, intent(inout) :: error
+    integer(i8), allocatable :: dataset(:)
+    integer(c_int), allocatable :: dimension(:)
+    logical, allocatable :: told(:), mine(:)
+    integer :: i, status
+    if (file%broken .or. file%n_use == 0) return
+    associate (uses => file%uses(:file%n_use))
+      allocate (told(size(uses)), source=.false.)
+      do i = 1, size(uses)
+        if (told(i)) cycle
+        mine = uses%scale == uses(i)%scale
+        dataset = pack(uses%dataset, mine)
+        dimension = pack(uses%dimension, mine)
+        told = told .or. mine
+        status = castnet_refer_back(file%root%id, uses(i)%scale, size(dataset), dataset, dimension)
+        call check(file, status, 'complete a dimension scale', '', error)
+        if (status < 0) return
+      end do
+    end associate
+    file%n_use = 0
+  end subroutine tell_scales
 
 end module castnet_hdf5_file

@@ -6,10 +6,10 @@
  * end of the file that the superblock knows. A kill in between leaves a file that nobody
  * can open (seen in 5 of 100 kills of a run that wrote frames as fast as it could).
  *
- * Here a write behind the end that readers know goes to the disk at once: nothing on the
- * disk refers to it. A write before it waits in memory until HDF5 has forced everything
- * out. Then all that waits is written in an order that leaves the file whole after each
- * single write:
+ * Here a write behind the end that readers know may go to the disk at any time: nothing on
+ * the disk refers to it. Small ones gather in memory, so that some hundred of them become
+ * one. A write before that end waits in memory until HDF5 has forced everything out. Then
+ * all that waits is written in an order that leaves the file whole after each single write:
  *   1. the superblock with the new end of the file (the file has already grown),
  *   2. values and heaps (they fill parts of blocks that no reader looks at yet),
  *   3. nodes of trees, from the root down,
@@ -71,6 +71,9 @@ static const struct timespec grace = {0, 5000000};
 /* Of a superblock of version 0: what is read here, its free byte, the end of the file. */
 enum { block_bytes = 48, mark_at = 15, end_at = 40, page = 4096 };
 
+/* What gathers behind the end at most, and the size from which a write goes out by itself [B]. */
+static const size_t most_gathered = (size_t)1 << 20, large_write = (size_t)1 << 16;
+
 typedef struct {
     haddr_t address;
     size_t size;
@@ -86,6 +89,9 @@ typedef struct {
     haddr_t eof;       /* end of what is written */
     haddr_t length;    /* of the file on the disk, the hole behind its end included */
     haddr_t known_end; /* end that readers know: what lies behind is free to write */
+    haddr_t gathered_at; /* what gathers: bytes from here on, none of which is on the disk */
+    size_t n_gathered, gathered_room;
+    unsigned char *gathered;
     dev_t device;
     ino_t inode;
     int is_plain;      /* its superblock is of version 0: the end may be told too large */
@@ -106,6 +112,57 @@ static int write_at(int fd, const unsigned char *bytes, size_t n, haddr_t addres
         n -= (size_t)done;
         address += (haddr_t)done;
     }
+    return 0;
+}
+
+/* ---- what gathers behind the end -------------------------------------------------- */
+
+/* Write what has gathered. From here on it gathers behind it. */
+static int write_gathered(safe_file_t *file)
+{
+    if (file->n_gathered == 0) return 0;
+    haddr_t end = file->gathered_at + file->n_gathered;
+    int status = write_at(file->fd, file->gathered, file->n_gathered, file->gathered_at);
+    if (status != 0) return status;
+    if (file->length < end) file->length = end;
+    file->gathered_at = end;
+    file->n_gathered = 0;
+    return 0;
+}
+
+/* Have a write behind the end that readers know gather, or do it. Gaps between writes are
+ * blocks that HDF5 has not filled: zeros. */
+static int write_behind(safe_file_t *file, haddr_t address, size_t n, const unsigned char *bytes)
+{
+    int status = 0;
+    if (file->n_gathered == 0 && file->gathered_at < file->known_end) file->gathered_at = file->known_end;
+    int gathers = n < large_write && address >= file->gathered_at && address + n - file->gathered_at <= most_gathered;
+    if (!gathers && address + n > file->gathered_at) {
+        /* It lies over what gathers, or behind: that goes first. */
+        status = write_gathered(file);
+        if (status != 0) return status;
+        gathers = n < large_write && address >= file->gathered_at;
+        if (gathers) file->gathered_at = address;
+    }
+    if (!gathers) {
+        status = write_at(file->fd, bytes, n, address);
+        if (status != 0) return status;
+        if (file->gathered_at < address + n) file->gathered_at = address + n;
+        if (file->length < address + n) file->length = address + n;
+        return 0;
+    }
+    size_t offset = (size_t)(address - file->gathered_at), end = offset + n;
+    if (end > file->gathered_room) {
+        size_t room = file->gathered_room == 0 ? large_write : file->gathered_room;
+        while (room < end) room *= 2;
+        unsigned char *larger = realloc(file->gathered, room);
+        if (larger == NULL) return ENOMEM;
+        file->gathered = larger;
+        file->gathered_room = room;
+    }
+    if (offset > file->n_gathered) memset(file->gathered + file->n_gathered, 0, offset - file->n_gathered);
+    memcpy(file->gathered + offset, bytes, n);
+    if (end > file->n_gathered) file->n_gathered = end;
     return 0;
 }
 
@@ -230,7 +287,7 @@ static haddr_t lead(const safe_file_t *file)
     return file->eoa + 3 * slack < (haddr_t)limit.rlim_cur ? slack : 0;
 }
 
-/* From the disk, zeros behind its end, and over it what waits. */
+/* From the disk, zeros behind its end, and over it what gathers and what waits. */
 static int read_through(const safe_file_t *file, haddr_t address, size_t n, unsigned char *to)
 {
     size_t done = 0;
@@ -242,6 +299,12 @@ static int read_through(const safe_file_t *file, haddr_t address, size_t n, unsi
         done += (size_t)got;
     }
     memset(to + done, 0, n - done);
+    if (file->n_gathered > 0 && file->gathered_at < address + n && address < file->gathered_at + file->n_gathered) {
+        haddr_t low = file->gathered_at > address ? file->gathered_at : address;
+        haddr_t last = file->gathered_at + file->n_gathered;
+        haddr_t high = last < address + n ? last : address + n;
+        memcpy(to + (low - address), file->gathered + (low - file->gathered_at), (size_t)(high - low));
+    }
     for (size_t i = 0; i < file->n_waiting; i++) {
         const waiting_t *w = &file->waiting[i];
         haddr_t low = w->address > address ? w->address : address;
@@ -270,7 +333,8 @@ static int tell_end(safe_file_t *file, haddr_t by)
  * no end told reaches has been written to; a file system that refuses it goes without. */
 static int commit(safe_file_t *file, int closing)
 {
-    int status = 0;
+    int status = write_gathered(file);
+    if (status != 0) return status;
     if (file->known_end == 0) look_at_superblock(file);
     haddr_t by = closing ? 0 : lead(file);
     if (by > 0 && file->length < file->eoa + by + slack / 2 && set_length(file, file->eoa + by + slack) != 0) by = 0;
@@ -416,6 +480,7 @@ static herr_t safe_close(H5FD_t *pub)
     if (status == 0) status = cut_hole(file);
     forget_waiting(file);
     free(file->waiting);
+    free(file->gathered);
     if (close(file->fd) != 0 && status == 0) status = errno;
     free(file);
     errno = status;
@@ -477,9 +542,8 @@ static herr_t safe_write(H5FD_t *pub, H5FD_mem_t type, hid_t dxpl, haddr_t addre
     int status;
     (void)dxpl;
     if (address >= file->known_end) {
-        status = write_at(file->fd, buffer, n, address);
+        status = write_behind(file, address, n, buffer);
         if (status == 0 && address + n > file->eof) file->eof = address + n;
-        if (file->length < file->eof) file->length = file->eof;
     } else {
         status = keep(file, type, address, n, buffer);
     }
