@@ -34,7 +34,14 @@ contains
     if (ieee_is_nan(value)) then
       text = 'NaN'
       return
-    else if (.not. ieee_is_finite(value)) then
+    else if (abs(value) < 1.0e4_wp) then
+      ! Small whole numbers, most of a scene's: plain, and without writing and reading.
+      if (.not. abs(value - anint(value)) > 0.0_wp .and. sign(1.0_wp, value) > 0.0_wp) then
+        text = to_text(nint(value))
+        return
+      end if
+    end if
+    if (.not. ieee_is_finite(value)) then
       text = merge('-Infinity', ' Infinity', value < 0.0_wp)
       text = trim(adjustl(text))
       return

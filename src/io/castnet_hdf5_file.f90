@@ -38,7 +38,7 @@ module castnet_hdf5_file
 
   !> Bytes for texts on their way to the file. The library's own choice is two buffers of
   !> 1 MiB, cleared at every text: a third of the processor time of a short run.
-  integer(hsize_t), parameter :: conversion_buffer = 65536_hsize_t
+  integer(hsize_t), parameter :: conversion_buffer = 4096_hsize_t
 
   !> Bytes of a text that may change while others read the file.
   integer, parameter :: short_text = 32

@@ -1,7 +1,8 @@
 !> Datasets of an HDF5 file that grow along one dimension, a frame or a block at a time.
-!> The growing dimension is Fortran's last, Python's first.
+!> The growing dimension is Fortran's last, Python's first. Frames may be held in memory
+!> and written many at once: a call of HDF5 costs as much as some kilobytes of values.
 module castnet_hdf5_series
-  use, intrinsic :: iso_c_binding, only: c_loc, c_ptr
+  use, intrinsic :: iso_c_binding, only: c_loc, c_ptr, c_f_pointer, c_int8_t
   use, intrinsic :: ieee_arithmetic, only: ieee_value, ieee_quiet_nan
   use hdf5, only: hid_t, hsize_t, h5screate_simple_f, h5sclose_f, h5sselect_hyperslab_f, h5pcreate_f, h5pset_chunk_f, &
                   h5pset_fill_value_f, h5pget_chunk_f, h5pclose_f, h5dcreate_f, h5dopen_f, h5dclose_f, h5dwrite_f, &
@@ -15,7 +16,8 @@ module castnet_hdf5_series
   use castnet_posix, only: clear_system_error
   implicit none
   private
-  public :: series_t, create_series, open_series, append_frames, truncate_series, close_series, growth_bytes
+  public :: series_t, create_series, open_series, append_frames, hold_frames, write_held, truncate_series, close_series, &
+            growth_bytes
 
   integer, parameter :: most_rank = 4
 
@@ -30,7 +32,10 @@ module castnet_hdf5_series
     integer :: kind = kind_double
     integer :: rank = 0                         !! dimensions, the growing one included
     integer(hsize_t) :: shape(most_rank) = 1    !! of one frame, in shape(1:rank-1)
-    integer(i8) :: length = 0                   !! frames so far
+    integer(i8) :: length = 0                   !! frames in the file so far
+    integer(i8) :: held = 0                     !! and in memory
+    integer(c_int8_t), allocatable :: bytes(:)  !! their values; room for more
+    integer(i8) :: held_bytes = 0
     integer(i8) :: frames_per_chunk = 1
     integer(i8) :: block_bytes = 0              !! of all chunks side by side that hold a block of frames
     integer :: block_chunks = 1                 !! how many they are
@@ -40,6 +45,11 @@ module castnet_hdf5_series
   interface append_frames
     module procedure append_doubles, append_singles, append_integers, append_longs
   end interface append_frames
+
+  !> The same, but into memory, until `write_held`.
+  interface hold_frames
+    module procedure hold_doubles, hold_singles, hold_longs
+  end interface hold_frames
 
 contains
 
@@ -258,6 +268,74 @@ contains
     call h5sclose_f(memory, ignored)
     call h5sclose_f(space, ignored)
   end subroutine append
+
+  subroutine hold_doubles(file, series, values, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(series_t), intent(inout) :: series
+    real(wp), intent(in), target, contiguous :: values(:)
+    type(error_t), allocatable, intent(inout) :: error
+    call hold(file, series, kind_double, size(values, kind=i8), c_loc(values), error)
+  end subroutine hold_doubles
+
+  subroutine hold_singles(file, series, values, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(series_t), intent(inout) :: series
+    real(sp), intent(in), target, contiguous :: values(:)
+    type(error_t), allocatable, intent(inout) :: error
+    call hold(file, series, kind_single, size(values, kind=i8), c_loc(values), error)
+  end subroutine hold_singles
+
+  subroutine hold_longs(file, series, values, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(series_t), intent(inout) :: series
+    integer(i8), intent(in), target, contiguous :: values(:)
+    type(error_t), allocatable, intent(inout) :: error
+    call hold(file, series, kind_long, size(values, kind=i8), c_loc(values), error)
+  end subroutine hold_longs
+
+  !> Keep a copy of as many frames as the values fill.
+  subroutine hold(file, series, kind, n_value, buffer, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(series_t), intent(inout) :: series
+    integer, intent(in) :: kind
+    integer(i8), intent(in) :: n_value
+    type(c_ptr), intent(in) :: buffer
+    type(error_t), allocatable, intent(inout) :: error
+    integer(c_int8_t), pointer :: given(:)
+    integer(c_int8_t), allocatable :: larger(:)
+    integer(i8) :: n, frame
+    if (file%broken .or. n_value == 0) return
+    frame = product(series%shape(1:series%rank - 1))
+    if (kind /= series%kind .or. mod(n_value, frame) /= 0) then
+      call fail(error, exit_file, "internal: values do not fit the frames of '"//series%name//"'")
+      file%broken = .true.
+      return
+    end if
+    n = n_value*value_bytes(kind)
+    if (.not. allocated(series%bytes)) allocate (series%bytes(n))
+    if (series%held_bytes + n > size(series%bytes, kind=i8)) then
+      allocate (larger(2*(series%held_bytes + n)))
+      larger(:series%held_bytes) = series%bytes(:series%held_bytes)
+      call move_alloc(larger, series%bytes)
+    end if
+    call c_f_pointer(buffer, given, [n])
+    series%bytes(series%held_bytes + 1:series%held_bytes + n) = given
+    series%held_bytes = series%held_bytes + n
+    series%held = series%held + n_value/frame
+  end subroutine hold
+
+  !> Append what is held.
+  subroutine write_held(file, series, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(series_t), intent(inout), target :: series
+    type(error_t), allocatable, intent(inout) :: error
+    integer(i8) :: n_value
+    if (series%held == 0) return
+    n_value = series%held_bytes/value_bytes(series%kind)
+    call append(file, series, series%kind, n_value, c_loc(series%bytes), error)
+    series%held = 0
+    series%held_bytes = 0
+  end subroutine write_held
 
   !> Cut a series to its first `length` frames; no effect if it is not longer.
   subroutine truncate_series(file, series, length, error)

@@ -25,7 +25,7 @@ module castnet_history_writer
 
   integer, parameter :: n_real = 18, n_count = 2
   integer, parameter :: n_value = 22            !! numbers of all real columns in a row
-  integer, parameter :: block = 256             !! rows that wait at most
+  integer, parameter :: block = 1024            !! rows that wait at most
 
   !> In the order of `row_values`; the first is the dimension scale.
   type(column_t), parameter :: real_columns(n_real) = [ &

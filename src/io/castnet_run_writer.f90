@@ -3,9 +3,11 @@
 !> The file is started as OUTPUT.tmp, written as OUTPUT.part and renamed to OUTPUT when the run is complete.
 !> Whoever opens OUTPUT.part sees a whole file at any moment (castnet_safe_driver.c): no object is made
 !> after it has its name but in groups that were made to grow.
-!> Everything of one frame goes through one `commit`: first the disk space that it can
-!> take is set aside, so that HDF5 never meets a full disk half-way, then it is written,
-!> then flushed. A run that is killed keeps every frame that was flushed.
+!> Frames and rows gather in memory and go to the file together: at the latest `hold_seconds`
+!> after the first of them, or when they are `hold_bytes` long, with every checkpoint and at
+!> the end. First the disk space that they can take is set aside, so that HDF5 never meets a
+!> full disk half-way, then they are written, then flushed. A run that is killed keeps every
+!> frame that was flushed.
 !>
 !> Fortran's shape (xyz, node, time) is Python's (time, node, xyz); indices in the file
 !> count from 0. One thread at a time may be in here.
@@ -17,11 +19,11 @@ module castnet_run_writer
   use castnet_state, only: state_t
   use castnet_record, only: history_row_t, summary_t
   use castnet_text, only: to_text, byte_text, folder_of
-  use castnet_posix, only: reserve_space, release_space, sync_path, rename_file, remove_file, copy_file, file_size, &
-                           free_space, file_failure
+  use castnet_posix, only: wall_seconds, reserve_space, release_space, sync_path, rename_file, remove_file, copy_file, &
+                           file_size, free_space, file_failure
   use castnet_hdf5_file, only: hdf5_file_t, create_hdf5, open_hdf5, close_file, flush_file, file_bytes, &
                                has_entry, write_array, make_scale, attach_scales, kind_double
-  use castnet_hdf5_series, only: series_t, create_series, open_series, append_frames, truncate_series, close_series, &
+  use castnet_hdf5_series, only: series_t, create_series, open_series, hold_frames, write_held, truncate_series, close_series, &
                                  growth_bytes
   use castnet_hdf5_reader, only: dataset_t, ask_dataset, read_text
   use castnet_restart_check, only: check_same_scene
@@ -30,18 +32,22 @@ module castnet_run_writer
   use castnet_history_writer, only: history_writer_t, create_history, reopen_history, store_row, is_block_full, &
                                     waiting_rows, write_rows, history_growth, close_history
   use castnet_summary_writer, only: prepare_summary, write_summary
-  use castnet_vtkhdf_writer, only: vtkhdf_writer_t, create_vtkhdf, reopen_vtkhdf, write_vtkhdf_frame, vtkhdf_growth, &
-                                   close_vtkhdf
+  use castnet_vtkhdf_writer, only: vtkhdf_writer_t, create_vtkhdf, reopen_vtkhdf, hold_vtkhdf_frame, write_vtkhdf, &
+                                   vtkhdf_growth, close_vtkhdf
   implicit none
   private
-  public :: run_writer_t, run_info_t, open_run, reopen_run, write_frame, write_history, flush_run, close_run, &
-            discard_run, run_bytes
+  public :: run_writer_t, run_info_t, open_run, reopen_run, write_frame, write_history, write_when_due, flush_run, &
+            close_run, discard_run, run_bytes
   public :: status_complete, status_stopped, status_failed
 
   character(len=*), parameter :: status_complete = 'complete', status_stopped = 'stopped', status_failed = 'failed'
 
   !> Kept free behind the end, so that a file can be closed properly on a full disk [bytes].
   integer(i8), parameter :: tail = 65536_i8
+
+  !> What a kill may cost, in wall time, and what memory it may take [s], [bytes].
+  real(wp), parameter :: hold_seconds = 0.05_wp
+  integer(i8), parameter :: hold_bytes = 4194304_i8
 
   integer, parameter :: n_series = 8
   integer, parameter :: s_time = 1, s_node_position = 2, s_node_velocity = 3, s_tension = 4, s_position = 5, &
@@ -62,6 +68,8 @@ module castnet_run_writer
     type(surface_t), allocatable :: surface
     real(wp), allocatable :: node(:)              !! scratch: x y z of each node
     integer :: n_node = 0, n_cable = 0
+    integer(i8) :: held = 0                       !! frames in memory
+    real(wp) :: held_since = 0.0_wp               !! wall time of the first of them [s]
     integer(i8) :: expected = 0                   !! bytes of the whole file, at most
     integer(i8) :: given_back = 0                 !! bytes of the old file when its copy takes its place
     character(len=:), allocatable :: session      !! name of this run's group in /meta/sessions
@@ -361,8 +369,8 @@ contains
     if (number /= 0) call file_failure(error, number, 'cannot write to', writer%part)
   end subroutine reserve
 
-  !> Append a frame, with the rows that wait, and flush: from here on a kill cannot take
-  !> it away. Errors: exit_file; the frames before stay readable.
+  !> Take in a frame: it goes to the file when `write_when_due` finds that it is time, with
+  !> the next checkpoint, or at the end. Errors: exit_file; the frames before stay readable.
   subroutine write_frame(writer, model, state, cable_tension, error)
     type(run_writer_t), intent(inout) :: writer
     type(model_t), intent(in) :: model
@@ -370,47 +378,50 @@ contains
     real(wp), intent(in), contiguous :: cable_tension(:) !! (n_cable) [N]
     type(error_t), allocatable, intent(inout) :: error
     if (allocated(error)) return
-    call reserve(writer, frame_growth(writer, 1_i8) + waiting_growth(writer), error)
-    if (allocated(error)) return
-    call append_frames(writer%file, writer%series(s_time), [state%time], error)
+    if (writer%held == 0) writer%held_since = wall_seconds()
+    call hold_frames(writer%file, writer%series(s_time), [state%time], error)
     if (writer%has(s_node_position)) then
-      call append_net(s_node_position, state%node_position)
-      call append_net(s_node_velocity, state%node_velocity)
+      call hold_net(s_node_position, state%node_position)
+      call hold_net(s_node_velocity, state%node_velocity)
     end if
     if (writer%has(s_tension)) &
-      call append_frames(writer%file, writer%series(s_tension), cable_tension(1:writer%n_cable), error)
+      call hold_frames(writer%file, writer%series(s_tension), cable_tension(1:writer%n_cable), error)
     if (writer%has(s_position)) then
-      call append_frames(writer%file, writer%series(s_position), state%target%position, error)
-      call append_frames(writer%file, writer%series(s_velocity), state%target%velocity, error)
-      call append_frames(writer%file, writer%series(s_attitude), state%target%attitude, error)
-      call append_frames(writer%file, writer%series(s_rate), state%target%angular_velocity, error)
+      call hold_frames(writer%file, writer%series(s_position), state%target%position, error)
+      call hold_frames(writer%file, writer%series(s_velocity), state%target%velocity, error)
+      call hold_frames(writer%file, writer%series(s_attitude), state%target%attitude, error)
+      call hold_frames(writer%file, writer%series(s_rate), state%target%angular_velocity, error)
     end if
     if (allocated(writer%vtk)) &
-      call write_vtkhdf_frame(writer%vtk, writer%file, state, writer%surface, cable_tension, error)
-    call write_rows(writer%history, writer%file, error)
-    call flush_file(writer%file, error)
+      call hold_vtkhdf_frame(writer%vtk, writer%file, state, writer%surface, cable_tension, error)
+    writer%held = writer%held + 1
+    call write_when_due(writer, error)
 
   contains
 
     !> One component after the other in memory, one node after the other in the file.
-    subroutine append_net(k, values)
+    subroutine hold_net(k, values)
       integer, intent(in) :: k
       real(wp), intent(in) :: values(:, :)        !! (n_pad,3)
       integer :: i
       do i = 1, writer%n_node
         writer%node(3*i - 2:3*i) = values(i, :)
       end do
-      call append_frames(writer%file, writer%series(k), writer%node, error)
-    end subroutine append_net
+      call hold_frames(writer%file, writer%series(k), writer%node, error)
+    end subroutine hold_net
 
   end subroutine write_frame
 
-  integer(i8) function waiting_growth(writer)
-    type(run_writer_t), intent(in) :: writer
-    waiting_growth = history_growth(writer%history, int(waiting_rows(writer%history), i8))
-  end function waiting_growth
+  !> Write what is held if it is time to. To be called every few milliseconds of a run.
+  subroutine write_when_due(writer, error)
+    type(run_writer_t), intent(inout) :: writer
+    type(error_t), allocatable, intent(inout) :: error
+    if (allocated(error) .or. writer%held == 0) return
+    if (sum(writer%series%held_bytes) >= hold_bytes .or. wall_seconds() - writer%held_since >= hold_seconds) &
+      call flush_run(writer, error)
+  end subroutine write_when_due
 
-  !> Keep a row of /history; it reaches the file with the next frame or flush.
+  !> Keep a row of /history; it reaches the file with the next frames or flush.
   subroutine write_history(writer, row, error)
     type(run_writer_t), intent(inout) :: writer
     type(history_row_t), intent(in) :: row
@@ -420,16 +431,23 @@ contains
     if (is_block_full(writer%history)) call flush_run(writer, error)
   end subroutine write_history
 
-  !> Write the rows that wait. To be called before a checkpoint is written, so that the
-  !> file is never behind it.
+  !> Write all frames and rows that wait, and flush: from here on a kill cannot take them
+  !> away. To be called before a checkpoint is written, so that the file is never behind it.
   subroutine flush_run(writer, error)
     type(run_writer_t), intent(inout) :: writer
     type(error_t), allocatable, intent(inout) :: error
-    if (allocated(error) .or. waiting_rows(writer%history) == 0) return
-    call reserve(writer, waiting_growth(writer), error)
+    integer :: i
+    if (allocated(error) .or. (waiting_rows(writer%history) == 0 .and. writer%held == 0)) return
+    call reserve(writer, frame_growth(writer, writer%held) &
+                 + history_growth(writer%history, int(waiting_rows(writer%history), i8)), error)
     if (allocated(error)) return
+    do i = 1, n_series
+      if (writer%has(i)) call write_held(writer%file, writer%series(i), error)
+    end do
+    if (allocated(writer%vtk)) call write_vtkhdf(writer%vtk, writer%file, error)
     call write_rows(writer%history, writer%file, error)
     call flush_file(writer%file, error)
+    writer%held = 0
   end subroutine flush_run
 
   !> Write /summary and the status, close, and rename OUTPUT.part to OUTPUT when the run is

@@ -15,11 +15,11 @@ module castnet_vtkhdf_writer
   use castnet_state, only: state_t
   use castnet_hdf5_file, only: hdf5_file_t, location_t, make_group, open_group, close_group, write_array, set_attribute, &
                                set_fixed_text, kind_double, kind_single, kind_long
-  use castnet_hdf5_series, only: series_t, create_series, open_series, append_frames, truncate_series, close_series, &
-                                 growth_bytes
+  use castnet_hdf5_series, only: series_t, create_series, open_series, append_frames, hold_frames, write_held, truncate_series, &
+                                 close_series, growth_bytes
   implicit none
   private
-  public :: vtkhdf_writer_t, create_vtkhdf, reopen_vtkhdf, write_vtkhdf_frame, vtkhdf_growth, close_vtkhdf
+  public :: vtkhdf_writer_t, create_vtkhdf, reopen_vtkhdf, hold_vtkhdf_frame, write_vtkhdf, vtkhdf_growth, close_vtkhdf
 
   integer, parameter :: n_step_series = 6
   character(len=*), parameter :: step_series(n_step_series) = [character(len=21) :: 'Values', 'PartOffsets', &
@@ -175,8 +175,9 @@ contains
     call close_group(file, group)
   end subroutine reopen_vtkhdf
 
-  !> One step more: net nodes first, then the target's vertices, turned and moved.
-  subroutine write_vtkhdf_frame(vtk, file, state, surface, cable_tension, error)
+  !> One step more, held in memory: net nodes first, then the target's vertices, turned and
+  !> moved.
+  subroutine hold_vtkhdf_frame(vtk, file, state, surface, cable_tension, error)
     type(vtkhdf_writer_t), intent(inout) :: vtk
     type(hdf5_file_t), intent(inout) :: file
     type(state_t), intent(in) :: state
@@ -186,7 +187,7 @@ contains
     integer(i8) :: frame, per_frame
     integer :: i
     real(wp) :: r(3, 3)
-    frame = vtk%step(1)%length
+    frame = vtk%step(1)%length + vtk%step(1)%held
     do i = 1, vtk%n_node
       vtk%point(3*i - 2:3*i) = single(state%node_position(i, :))
     end do
@@ -196,20 +197,35 @@ contains
         single(state%target%position + multiply(r, surface%vertex(:, i)))
     end do
     per_frame = vtk%n_node + vtk%n_vertex
-    call append_frames(file, vtk%points, vtk%point, error)
-    call append_frames(file, vtk%step(1), [state%time], error)
-    call append_frames(file, vtk%step(2), [0_i8], error)
-    call append_frames(file, vtk%step(3), [1_i8], error)
-    call append_frames(file, vtk%step(4), [frame*per_frame], error)
-    call append_frames(file, vtk%step(5), [0_i8, 0_i8, 0_i8, 0_i8], error)
-    call append_frames(file, vtk%step(6), [0_i8, 0_i8, 0_i8, 0_i8], error)
+    call hold_frames(file, vtk%points, vtk%point, error)
+    call hold_frames(file, vtk%step(1), [state%time], error)
+    call hold_frames(file, vtk%step(2), [0_i8], error)
+    call hold_frames(file, vtk%step(3), [1_i8], error)
+    call hold_frames(file, vtk%step(4), [frame*per_frame], error)
+    call hold_frames(file, vtk%step(5), [0_i8, 0_i8, 0_i8, 0_i8], error)
+    call hold_frames(file, vtk%step(6), [0_i8, 0_i8, 0_i8, 0_i8], error)
     if (vtk%n_cable > 0) then
       vtk%cell(1:vtk%n_cable) = single(cable_tension(1:vtk%n_cable))
-      call append_frames(file, vtk%tension, vtk%cell, error)
-      call append_frames(file, vtk%tension_offset, [frame*size(vtk%cell)], error)
+      call hold_frames(file, vtk%tension, vtk%cell, error)
+      call hold_frames(file, vtk%tension_offset, [frame*size(vtk%cell)], error)
     end if
-    call set_attribute(file, vtk%steps%id, 'NSteps', frame + 1_i8, error)
-  end subroutine write_vtkhdf_frame
+  end subroutine hold_vtkhdf_frame
+
+  !> Write the steps that are held.
+  subroutine write_vtkhdf(vtk, file, error)
+    type(vtkhdf_writer_t), intent(inout) :: vtk
+    type(hdf5_file_t), intent(inout) :: file
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: i
+    if (vtk%step(1)%held == 0) return
+    call write_held(file, vtk%points, error)
+    do i = 1, n_step_series
+      call write_held(file, vtk%step(i), error)
+    end do
+    call write_held(file, vtk%tension, error)
+    call write_held(file, vtk%tension_offset, error)
+    call set_attribute(file, vtk%steps%id, 'NSteps', vtk%step(1)%length, error)
+  end subroutine write_vtkhdf
 
   !> Nearest single; what is out of range stays at its edge, so that nothing traps.
   elemental real(sp) function single(value)

@@ -16,8 +16,8 @@ module castnet_runner
   use castnet_record, only: summary_t, history_row_t
   use castnet_renumber, only: in_original_order
   use castnet_restart_check, only: check_same_scene
-  use castnet_run_writer, only: run_writer_t, run_info_t, open_run, reopen_run, write_frame, write_history, flush_run, &
-                                close_run, status_complete, status_stopped, status_failed
+  use castnet_run_writer, only: run_writer_t, run_info_t, open_run, reopen_run, write_frame, write_history, &
+                                write_when_due, flush_run, close_run, status_complete, status_stopped, status_failed
   use castnet_scene, only: scene_t
   use castnet_scene_files, only: data_contents, check_same_contents
   use castnet_scene_net, only: load_scene_net
@@ -155,6 +155,7 @@ contains
       call run_to_next(sim, due, error, look)
       if (allocated(error)) exit
       call observe(sim, due, writer, ledger, error)
+      call write_when_due(writer, error)
       if (due%row) call tell_progress(log, sim)
       if (allocated(error) .or. is_finished(sim)) exit
       stop_code = stop_request_code()

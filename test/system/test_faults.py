@@ -544,7 +544,7 @@ def check_locks(folder: Path) -> None:
 def read_while_written(output: Path) -> tuple[int, list[str]]:
     """Open and read a run's file as often as can be while it starts, is stopped, goes on and ends: how often there were
     frames, and what went wrong. Python's own file and HDF5's ask for the file's length at different times."""
-    scene = (CUBESAT[0], ["time/step=2.0e-5", "time/end_time=0.3", "output/verdict_times=0.3", "output/frame_interval=0.001"])
+    scene = (CUBESAT[0], ["time/step=1.0e-6", "time/end_time=0.3", "output/verdict_times=0.3", "output/frame_interval=0.001"])
     part, troubles, seen, openings = beside(output, ".part"), [], 0, 0
     for words in ([], ["--restart", str(beside(output, ".checkpoint"))]):
         process = start(scene, output, *words)
@@ -565,7 +565,7 @@ def read_while_written(output: Path) -> tuple[int, list[str]]:
                 continue
             except Exception as error:  # noqa: BLE001 - whatever the reader says is the finding
                 troubles.append(repr(error))
-            if not words and seen == began + 30:
+            if not words and seen == began + 15:
                 process.send_signal(signal.SIGTERM)
         process.communicate()
         troubles += [] if process.returncode == (0 if words else 75) else [f"exit code {process.returncode}"]
