@@ -19,7 +19,7 @@ module castnet_contact_response
                                     twist_of_impulses
   use castnet_friction_problem, only: friction_problem_t, reserve_friction
   use castnet_friction_solver, only: solve_friction
-  use castnet_coupled_friction, only: coupled_work_t, newton_work_t, reserve_coupled, solve_coupled_friction
+  use castnet_coupled_friction, only: coupled_work_t, reserve_coupled, solve_coupled_friction
   use castnet_contact_groups, only: contact_groups_t, reserve_groups, find_groups
   use castnet_coupled_solver, only: coupled_solver_t, reserve_coupled_solver, solve_coupled
   use castnet_dense_impulse, only: solve_dense
@@ -40,7 +40,6 @@ module castnet_contact_response
     type(friction_problem_t) :: friction
     type(coupled_solver_t) :: pivoting     !! contacts that share nodes, without friction
     type(coupled_work_t) :: coupled        !! contacts that share nodes, with
-    type(newton_work_t) :: newton          !! its Newton steps
     type(contact_groups_t) :: groups       !! of the present list, where they may be coupled
     logical :: coupled_contacts = .false.  !! of the present list: nodes are shared
   end type contact_solver_t
@@ -219,7 +218,7 @@ contains
       call reserve_groups(solver%groups, list%capacity, maxval(max(list%node_a(1:list%n), list%node_b(1:list%n))))
       call find_groups(list, solver%groups)
     end if
-    call solve_coupled_friction(solver%friction, list, body, solver%coupled, solver%groups, solver%newton, report%iterations, &
+    call solve_coupled_friction(solver%friction, list, solver%groups, body, solver%coupled, report%iterations, &
                                 report%residual, report%converged, report%twist)
   end subroutine solve_tangential
 

@@ -4,7 +4,7 @@ module castnet_six_by_six
   use castnet_kinds, only: wp
   implicit none
   private
-  public :: factor_symmetric, solve_symmetric, solve_general
+  public :: factor_symmetric, solve_symmetric, solve_general, solve_pair
 
 contains
 
@@ -115,5 +115,53 @@ contains
       x(i) = x(i)/m(i, i)
     end do
   end subroutine solve_general
+
+  !> X of A X = B with two right sides, for any regular 6 x 6 matrix of numbers alike in size.
+  pure subroutine solve_pair(a, b, x, negative, ok)
+    real(wp), intent(in) :: a(6, 6), b(6, 2)
+    real(wp), intent(out) :: x(6, 2)
+    logical, intent(out) :: negative  !! the determinant is
+    logical, intent(out) :: ok        !! .false.: singular to working precision
+    real(wp) :: m(6, 8), row(8), factor
+    integer :: i, j, k, pivot
+    x = 0.0_wp
+    ok = .true.
+    negative = .false.
+    m(:, 1:6) = a
+    m(:, 7:8) = b
+    do k = 1, 6
+      pivot = k
+      do i = k + 1, 6
+        if (abs(m(i, k)) > abs(m(pivot, k))) pivot = i
+      end do
+      factor = maxval(abs(a(:, k)))
+      if (.not. abs(m(pivot, k)) > 1.0e-15_wp*factor) then
+        ok = .false.
+        return
+      end if
+      if (pivot /= k) then
+        row = m(k, :)
+        m(k, :) = m(pivot, :)
+        m(pivot, :) = row
+        negative = .not. negative
+      end if
+      if (m(k, k) < 0.0_wp) negative = .not. negative
+      do i = k + 1, 6
+        factor = m(i, k)/m(k, k)
+        do j = k + 1, 8
+          m(i, j) = m(i, j) - factor*m(k, j)
+        end do
+      end do
+    end do
+    do j = 1, 2
+      do i = 6, 1, -1
+        x(i, j) = m(i, 6 + j)
+        do k = i + 1, 6
+          x(i, j) = x(i, j) - m(i, k)*x(k, j)
+        end do
+        x(i, j) = x(i, j)/m(i, i)
+      end do
+    end do
+  end subroutine solve_pair
 
 end module castnet_six_by_six
