@@ -9,6 +9,7 @@ module test_cable_contact
   use castnet_contact_response, only: contact_solver_t, resolve_contacts
   use castnet_contact_event, only: contact_work_t, new_contact_work, handle_contacts
   use castnet_stepper, only: work_t
+  use castnet_vector, only: cross
   use contact_cases, only: new_case, add_cables, set_body, momentum, angular_momentum, kinetic_energy, elastic_energy, &
                            centre_of_mass, random_t, uniform, normal_draw, random_direction, random_quaternion, &
                            random_contacts, random_cable_contacts
@@ -25,6 +26,7 @@ contains
     call test_case('cables: two nodes and their cable on one face', degenerate)
     call test_case('cables: 2000 coupled contacts to 1e-10', many)
     call test_case('cables: friction of coupled contacts keeps its law and energy', coupled_friction)
+    call test_case('cables: friction of 1 to 3 on patches of net is solved', patches_with_friction)
     call test_case('cables: an event keeps momentum and books its energy', event_ledger)
     call test_case('cables: a sphere that falls through nodes is held by cables', sphere)
     call test_case('cables: the edge of a box rides on a cable', edge)
@@ -202,6 +204,67 @@ contains
     call note(words)
     call expect(stuck == 0, 'every event is solved')
   end subroutine coupled_friction
+
+  !> A patch of net in motion against a spinning body, contacts at some of its nodes and
+  !> cables: velocities that belong together, as in a capture. Friction of 1 to 3, without
+  !> rebound, so that there is an answer: everything sticks to the body, if nothing better.
+  subroutine patches_with_friction()
+    integer, parameter :: side = 4
+    type(contact_list_t) :: list
+    type(body_inertia_t) :: body
+    type(contact_solver_t) :: solver
+    type(impulse_report_t) :: report
+    type(contact_t) :: contact
+    type(random_t) :: random
+    real(wp) :: x(3, side*side), v(3, side*side), w(side*side), rate(3), spread
+    integer :: trial, i, stuck
+    contact%detect_cables = .true.
+    contact%restitution = 0.0_wp
+    stuck = 0
+    do trial = 1, 300
+      call random_contacts(random, 4*side*side, 0.01_wp, 0.0_wp, list, body)
+      list%n = 0
+      contact%friction = 1.0_wp + 2.0_wp*uniform(random)
+      rate = random_direction(random)
+      spread = 0.5_wp*uniform(random)
+      do i = 1, side*side
+        x(:, i) = [0.2_wp*((i - 1)/side) - 0.3_wp, 0.2_wp*mod(i - 1, side) - 0.3_wp, 0.3_wp]
+        v(:, i) = 0.5_wp*random_direction(random)
+        v(3, i) = v(3, i) - uniform(random)
+        w(i) = 50.0_wp + 100.0_wp*uniform(random)
+      end do
+      do i = 1, side*side
+        if (uniform(random) < 0.5_wp) call add(i, i)
+        if (mod(i, side) /= 0 .and. uniform(random) < 0.6_wp) call add(i, i + 1)
+        if (i + side <= side*side .and. uniform(random) < 0.6_wp) call add(i, i + side)
+      end do
+      call resolve_contacts(contact, body, list, solver, report)
+      if (.not. report%converged .or. report%residual > 1.0e-9_wp) stuck = stuck + 1
+    end do
+    call expect(stuck == 0, 'every event is solved')
+  contains
+    subroutine add(a, b)
+      integer, intent(in) :: a, b
+      real(wp) :: s
+      integer :: c
+      s = uniform(random)
+      if (a == b) s = 0.0_wp
+      list%n = list%n + 1
+      c = list%n
+      list%node_a(c) = a
+      list%node_b(c) = b
+      list%share(c) = s
+      list%weight_a(c) = 1.0_wp - s
+      list%inverse_mass_a(c) = w(a)
+      list%inverse_mass_b(c) = merge(0.0_wp, w(b), a == b)
+      list%arm(c, :) = (1.0_wp - s)*x(:, a) + s*x(:, b)
+      list%velocity(c, :) = (1.0_wp - s)*v(:, a) + s*v(:, b) - cross(rate, list%arm(c, :))
+      list%normal(c, :) = spread*random_direction(random)
+      list%normal(c, 3) = list%normal(c, 3) + 1.0_wp
+      list%normal(c, :) = list%normal(c, :)/sqrt(sum(list%normal(c, :)**2))
+      list%normal_velocity(c) = sum(list%velocity(c, :)*list%normal(c, :))
+    end subroutine add
+  end subroutine patches_with_friction
 
   !> A patch of cables, stretched, falls on a spinning box over its edges.
   subroutine event_ledger()

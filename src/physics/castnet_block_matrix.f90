@@ -12,8 +12,9 @@ module castnet_block_matrix
   private
   public :: block_matrix_t, find_pattern, fill_matrix, eliminate
 
-  !> A pivot block whose determinant is smaller is singular, of its largest entry's cube [-].
-  real(wp), parameter :: singular_below = 1.0e-13_wp
+  !> A pivot block whose determinant is smaller is singular, of its largest entry's cube [-]: where contacts
+  !> are redundant two of its three directions may be held by 1e-11 of the third.
+  real(wp), parameter :: singular_below = 1.0e-26_wp
 
   !> Row p holds, besides its diagonal block, blocks (p,q) with q < p; slot k stands for
   !> (p,q), in `upper`, and (q,p), in `lower`.

@@ -49,7 +49,7 @@ module castnet_coupled_friction
   real(wp), parameter :: least_cosine = 0.3_wp  !! between tangents one after the other
   !> 1 - t from where Newton's method is first tried, its fall from one trial to the next, and at the end.
   real(wp), parameter :: first_look = 0.6_wp, look_every = 0.2_wp, least_left = 1.0e-11_wp
-  integer, parameter :: newton_at_look = 15  !! steps of such a trial
+  integer, parameter :: newton_at_look = 40  !! steps of such a trial
 
   !> Everything by position along the groups; arrays of reals are padded to a multiple of `lane`.
   type :: coupled_work_t
@@ -539,11 +539,11 @@ contains
       if (left < next_look .and. t_way > 0.0_wp) then
         next_look = look_every*left
         call go(1.0_wp/t_way)
-        call newton(body, min(1.0e-3_wp, left), newton_at_look, work)
+        call newton(body, max(least_epsilon, min(1.0e-2_wp, left)), newton_at_look, work)
         if (work%residual <= tolerance*work%largest) return
       end if
       if (left < least_left) return
-      arc = min(1.6_wp*arc, max(most_arc, 0.2_wp*far(work)), most_arc/max(t_way, 1.0e-3_wp))
+      arc = min(1.6_wp*arc, max(most_arc, 0.2_wp*far(work)), most_arc/max(t_way, 1.0e-6_wp))
       do
         call go(arc)
         call back_to_path(body, t, left, t_way, work, ok)
@@ -595,7 +595,7 @@ contains
     integer :: k, p, c
     logical :: negative
     ok = .false.
-    last = huge(1.0_wp)
+    last = 0.25_wp*huge(1.0_wp)
     do k = 1, max_correction
       if (t < 0.0_wp .or. t >= 1.0_wp) return
       call measure(t, t, work)
@@ -616,8 +616,8 @@ contains
           second = second + weight*work%way(p, c)*work%matrix%right(8, c, p)
         end do
       end do
+      if (.not. abs(t_way - second) > abs(first)) return
       change = -first/(t_way - second)
-      if (.not. abs(change) < 1.0_wp) return
       t = t + left*change
       do p = 1, work%n
         do c = 1, 3
