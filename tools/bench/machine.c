@@ -5,7 +5,7 @@
  *   fma         fused multiply-adds from registers [1e9/s]
  *   add_mul     additions and multiplications as castnet's flags make them [1e9/s]
  *   root_divide 1/sqrt(x) with square root and divide, from the first cache [1e9/s]
- *   BYTES       a = b + s c over arrays of so many bytes in all: read two, write one [1e9 bytes/s]
+ *   BYTES       a = b + s c over arrays of so many bytes in all: two are read, one is read and written [1e9 bytes/s]
  *
  * Processor times, best of several rounds. */
 #include <math.h>
@@ -90,11 +90,11 @@ static double triad(size_t bytes) {
     best = took < best ? took : best;
   }
   free(a);
-  return 3.0 * n * sizeof(double) * rounds / best * 1e-9;
+  return 4.0 * n * sizeof(double) * rounds / best * 1e-9;
 }
 
 int main(void) {
-  static const size_t sizes[] = {24 << 10, 1 << 20, 16 << 20, 1 << 29};
+  static const size_t sizes[] = {24 << 10, 3 << 19, 16 << 20, 1 << 29};
   printf("fma %.2f\n", arithmetic(1));
   printf("add_mul %.2f\n", arithmetic(0));
   printf("root_divide %.4f\n", root_divide());

@@ -43,6 +43,8 @@ ROOT = os.path.dirname(os.path.dirname(HERE))
 TOOLS = os.path.join(ROOT, "tools")
 sys.path[:0] = [HERE, TOOLS]
 import peer_codes
+from bench_page import put
+from bench_page import table as markdown
 from castnet_runner import find_castnet
 
 sys.path.remove(TOOLS)   # numba asks for a module named coverage and must not get tools/coverage.py
@@ -170,6 +172,16 @@ def compare_kernels(castnet, rounds, squares_list, table):
             print(line, flush=True)
 
 
+def kernel_page(table):
+    """The kernels' rows as the page's table."""
+    rows = {}
+    for _, code, method, nodes, _, seconds, ratio, *_ in (row for row in table if row[0] == "kernel"):
+        mark = "**" if ratio < (2 if code == "jax" else 1) else ""
+        rows.setdefault((nodes, method), {})[code] = f"{1e9 * seconds:.1f}" + ("" if code == "castnet" else f" ({mark}{ratio:.2g}{mark})")
+    codes = [code for code in COLOURS if any(code in row for row in rows.values())]
+    return markdown(("nodes", "method", *codes), [(*key, *(row.get(code, "") for code in codes)) for key, row in rows.items()])
+
+
 def mouth_area(net, x):
     """Length of the vector area of the net's border [m2]."""
     border = x[net["border"]]
@@ -295,6 +307,7 @@ def main():
     parser.add_argument("--only", default="kernel,precision,capture")
     parser.add_argument("--squares", default="10,20,40,80,160")
     parser.add_argument("--csv", help="all numbers as a table")
+    parser.add_argument("--page", action="store_true", help="put the kernels' table into docs/performance.md")
     parser.add_argument("-o", "--output", default=os.path.join(ROOT, "docs", "figures", "work_precision.png"))
     arguments = parser.parse_args()
     table, parts = [], arguments.only.split(",")
@@ -308,6 +321,8 @@ def main():
             compare_kernels(castnet, arguments.rounds, map(int, arguments.squares.split(",")), table)
     if "precision" in parts and "kernel" in parts:
         draw(table, arguments.output)
+    if arguments.page and "kernel" in parts:
+        put("peers", kernel_page(table))
     if arguments.csv:
         with open(arguments.csv, "w", newline="") as file:
             writer = csv.writer(file)
