@@ -25,6 +25,7 @@ program main
   use test_run_writer, only: run_test_run_writer
   use test_scene_file, only: run_test_scene_file
   use test_segment, only: run_test_segment
+  use test_self_contact, only: run_test_self_contact
   use test_setup, only: run_test_setup
   use test_shape, only: run_test_shape
   use test_stable_step, only: run_test_stable_step
@@ -70,6 +71,7 @@ program main
   call run_test_run_writer()
   call run_test_scene_file()
   call run_test_segment()
+  call run_test_self_contact()
   call run_test_setup()
   call run_test_shape()
   call run_test_stable_step()

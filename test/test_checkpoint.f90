@@ -99,6 +99,7 @@ contains
     state%schedule%checkpoint_step = 37
     state%first_contact = 0.41_wp
     state%impulse_histogram = [(int(i, i8)**7, i=1, 100)]
+    state%self_contacts = [2_i8**43 + 1, 44_i8, 45_i8]
     allocate (state%measures(2))
     state%measures(1) = capture_measures_t(1.1_wp, 1.2_wp, 1.3_wp, 1.4_wp, 1.5_wp, 1.6_wp, 1.7_wp, 1.8_wp, 1.9_wp, 1)
     state%measures(2) = capture_measures_t(2.1_wp, 2.2_wp, 2.3_wp, 2.4_wp, 2.5_wp, 2.6_wp, 2.7_wp, 2.8_wp, 2.9_wp, 2)

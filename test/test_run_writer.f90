@@ -163,6 +163,7 @@ contains
     summary%measures%time = [1.0_wp, 2.0_wp]
     summary%measures%coverage = [0.5_wp, 0.75_wp]
     summary%measures%verdict = [0, 2]
+    summary%self_contacts = [120_i8, 7_i8, 0_i8]
     call close_run(writer, summary, status_complete, error)
     call expect_no(error)
     call expect_equal(path_kind(path), path_file, 'OUTPUT at the end')
@@ -172,6 +173,8 @@ contains
     call expect_dataset(path, '/static/bullet_nodes', [0.0_wp, 2.0_wp])
     call expect_dataset(path, '/summary/coverage', [0.5_wp, 0.75_wp])
     call expect_dataset(path, '/summary/verdict', [0.0_wp, 2.0_wp])
+    call expect_dataset(path, '/summary/self_contacts', [120.0_wp])
+    call expect_dataset(path, '/summary/self_contacts_taut', [7.0_wp])
     ignored = remove_file(path)
   end subroutine test_complete_run
 

@@ -1,137 +1,126 @@
 #!/usr/bin/env python3
-"""How often do a net's cables pass through each other? The model lets them.
+"""Does it matter that a net's cables pass through each other? The tables of docs/net_on_net.md.
 
-    tools/self_contact.py [SCENE ...] [--seeds N] [--castnet PROGRAM] [-o TABLE.md]
+    tools/self_contact.py [SCENE ...] [--seeds N] [--counted N] [--castnet PROGRAM] [--fresh] [-o TABLES.md]
 
-A crossing is a pair of cables without a common node whose straight lines between their nodes pass through each other
-from one frame to the next (nodes led along straight lines between frames; twice within one frame interval is not
-seen). It is counted as taut when both cables are longer than their natural length at the later frame: a slack cable
-is no straight line, so that only those are certain. Touching: pairs nearer than the mean of their diameters, at the
-frames. Runs are captures at the default method and step, nodes nudged by a micrometre.
+Counts of crossings (contact/self_contact = 'count') of a few runs, and ensembles whose cables pass through each other
+against ensembles whose cables are held apart ('impulses'): default method and step, the nodes nudged by a micrometre.
 """
 import argparse
-import os
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
 import h5py
 import numpy as np
-from castnet_runner import INPUT, find_castnet
+from castnet_ensemble import Ensemble, cost, difference, read, run, version_of, wilson
+from castnet_runner import Job, find_castnet, run_all
 
-SCENES = {"cubesat": ("1e-3", "3.0"), "cubesat_2.0": ("1e-3", "3.0"), "rocket_x_0.4": ("5e-3", "10.0"), "rocket_x_0.7": ("5e-3", "10.0"),
-          "rocket_closing_x_1.1": ("5e-3", "10.0")}
-
-
-def pairs_without_common_node(cables: np.ndarray) -> np.ndarray:
-    i, j = np.triu_indices(len(cables), 1)
-    shared = (cables[i][:, :, None] == cables[j][:, None, :]).any(axis=(1, 2))
-    return np.stack([i[~shared], j[~shared]])
-
-
-def volume(p: np.ndarray) -> np.ndarray:
-    """Signed volume (6 x) of the tetrahedra on two segments; p (segment end 4, n, 3)."""
-    return np.einsum("ij,ij->i", np.cross(p[1] - p[0], p[3] - p[2]), p[2] - p[0])
-
-
-def crossings(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Which pairs (4, n, 3) pass through each other between two instants."""
-    times = np.linspace(0.0, 1.0, 5)
-    values = np.array([volume(before + t * (after - before)) for t in times])
-    crossed = np.zeros(before.shape[1], bool)
-    for k in range(4):
-        turn = np.flatnonzero(values[k] * values[k + 1] < 0.0)
-        if not turn.size:
-            continue
-        b, d = before[:, turn], (after - before)[:, turn]
-        low, high = np.full(turn.size, times[k]), np.full(turn.size, times[k + 1])
-        start = np.sign(values[k][turn])
-        for _ in range(30):
-            middle = 0.5 * (low + high)
-            same = np.sign(volume(b + middle[:, None] * d)) == start
-            low, high = np.where(same, middle, low), np.where(same, high, middle)
-        p = b + low[:, None] * d
-        crossed[turn] |= gap(p)[1]
-    return crossed
+ROCKET = {"time/end_time": "10.0", "output/verdict_times": "10.0"}
+SCENES = {   # scene: name, settings
+    "cubesat": ("cubesat, C, 1.5 rad/s", {}),
+    "cubesat_2.0": ("cubesat, C, 2 rad/s", {}),
+    "rocket_x_0.4": ("rocket, B, 0.4 rad/s", ROCKET),
+    "rocket_x_0.7": ("rocket, B, 0.7 rad/s", ROCKET),
+    "rocket_closing_x_1.1": ("rocket, B, 1.1 rad/s, closing", {}),
+}
+OBSERVABLES = {   # column: heading, unit, factor
+    "coverage": ("coverage", "", 1.0),
+    "largest_hole": ("largest hole", "degree", 1.0),
+    "cqi": ("CQI", "", 1.0),
+    "final_speed": ("target's speed", "mm/s", 1e3),
+    "spin_change": ("change of its spin", "mrad/s", 1e3),
+    "max_tension": ("largest tension", "N", 1.0),
+    "first_contact": ("first contact", "s", 1.0),
+}
+KEY = "contact/self_contact"
 
 
-def gap(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance of the two lines' nearest points, clamped to the segments, and whether both lie inside."""
-    u, v, w = p[1] - p[0], p[3] - p[2], p[0] - p[2]
-    a, b, c, d, e = (np.einsum("ij,ij->i", x, y) for x, y in ((u, u), (u, v), (v, v), (u, w), (v, w)))
-    det = a * c - b * b
-    with np.errstate(divide="ignore", invalid="ignore"):
-        s, t = (b * e - c * d) / det, (a * e - b * d) / det
-    inside = (s > 0) & (s < 1) & (t > 0) & (t < 1)
-    s = np.clip(np.nan_to_num(s), 0, 1)
-    t = np.clip((b * s + e) / c, 0, 1)
-    s = np.clip((b * t - d) / a, 0, 1)
-    return np.linalg.norm(w + s[:, None] * u - t[:, None] * v, axis=1), inside
+def flights(castnet: str, scene: str, seeds: int, mode: str, folder: Path, more: dict[int, dict[str, str]] | None = None) -> list[Path]:
+    """The files of runs of one scene, without frames."""
+    jobs = []
+    for seed in range(1, seeds + 1):
+        settings = SCENES[scene][1] | {KEY: mode, "output/vtk": ".false.", "perturb/node_position": "1e-6", "perturb/seed": str(seed)}
+        jobs.append(Job(scene, folder / f"{scene}_{mode}_{seed}{'_until' if more else ''}.h5", settings | (more or {}).get(seed, {})))
+    if run_all(jobs, castnet, fresh=True):
+        sys.exit("a run failed")
+    return [job.output for job in jobs]
 
 
-def count(path: Path) -> dict[str, float]:
-    with h5py.File(path) as f:
-        x, time = f["node_position"][()], f["time"][()]
-        cables, natural = f["static/cable_nodes"][()], f["static/natural_length"][()]
-        stiffness = f["static/axial_stiffness"][()]
-        first = float(f["summary/first_contact"][()])
-    modulus = 4.456e8
-    diameter = np.sqrt(4.0 * stiffness / (np.pi * modulus))
-    pairs = pairs_without_common_node(cables)
-    reach = 0.5 * (diameter[pairs[0]] + diameter[pairs[1]])
-    ends = x[:, cables]                                   # time, cable, end, xyz
-    low, high = ends.min(axis=2), ends.max(axis=2)
-    taut = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=-1) > natural
-    total = dict.fromkeys(("before", "after", "taut before", "taut after", "touching"), 0.0)
-    for k in range(len(time) - 1):
-        lo, hi = np.minimum(low[k], low[k + 1]), np.maximum(high[k], high[k + 1])
-        near = np.flatnonzero(np.all((lo[pairs[0]] <= hi[pairs[1]] + reach[:, None]) & (lo[pairs[1]] <= hi[pairs[0]] + reach[:, None]), axis=1))
-        if not near.size:
-            continue
-        i, j = pairs[:, near]
-        at = [np.stack([ends[m, i, 0], ends[m, i, 1], ends[m, j, 0], ends[m, j, 1]]) for m in (k, k + 1)]
-        crossed = crossings(*at)
-        tight = crossed & taut[k + 1, i] & taut[k + 1, j]
-        word = "after" if time[k + 1] > first else "before"
-        total[word] += crossed.sum()
-        total["taut " + word] += tight.sum()
-        if time[k + 1] > 0.5 * first:                     # not the stowed net, which lies on itself
-            total["touching"] += (gap(at[1])[0] < reach[near]).sum() / np.sum(time > 0.5 * first)
-    return total
+def summaries(files: list[Path], name: str) -> np.ndarray:
+    values = []
+    for path in files:
+        with h5py.File(path) as f:
+            values.append(float(f["summary"][name][()]))
+    return np.array(values)
 
 
-def fly(castnet: str, scene: str, seed: int, folder: Path) -> dict[str, float]:
-    interval, end = SCENES[scene]
-    output = folder / f"{scene}_{seed}.h5"
-    settings = {"time/end_time": end, "output/verdict_times": end, "output/frame_interval": interval, "output/vtk": ".false.",
-                "perturb/node_position": "1e-6", "perturb/seed": seed}
-    command = [castnet, "run", str(INPUT / f"{scene}.nml"), "--output", str(output), "--force", "--quiet"]
-    command += [word for key, value in settings.items() for word in ("--set", f"{key}={value}")]
-    subprocess.run(command, check=True, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env=os.environ | {"OMP_NUM_THREADS": "1"})
-    found = count(output)
-    output.unlink()
-    return found
+def mean_and_range(values: np.ndarray) -> str:
+    return f"{values.mean():.4g} ({values.min():.4g} to {values.max():.4g})"
+
+
+def counts(castnet: str, scenes: list[str], seeds: int) -> str:
+    """Crossings of whole captures and of their flights up to first contact."""
+    text = ["| capture | crossings before contact | after | of taut cables, before | after | held apart: collisions | not undone |",
+            "|---|---|---|---|---|---|---|"]
+    with tempfile.TemporaryDirectory() as name:
+        for scene in scenes:
+            whole = flights(castnet, scene, seeds, "count", Path(name))
+            contact = summaries(whole, "first_contact")
+            until = {k + 1: {"time/end_time": repr(float(t)), "output/verdict_times": repr(float(t))} for k, t in enumerate(contact)}
+            flown = flights(castnet, scene, seeds, "count", Path(name), until)
+            apart = flights(castnet, scene, seeds, "impulses", Path(name))
+            cells = []
+            for column in ("self_contacts", "self_contacts_taut"):
+                before = summaries(flown, column)
+                cells += [mean_and_range(before), mean_and_range(summaries(whole, column) - before)]
+            cells += [mean_and_range(summaries(apart, column)) for column in ("self_contacts", "self_contacts_unresolved")]
+            text.append(f"| {SCENES[scene][0]} | " + " | ".join(cells) + " |")
+    return "\n".join([*text, "", f"Mean (and range) of {seeds} runs each.", ""])
+
+
+def pair(scene: str, seeds: int) -> tuple[Ensemble, Ensemble]:
+    return tuple(Ensemble(f"self_{mode}_{scene}", scene, SCENES[scene][1] | {KEY: f"'{mode}'"}, seeds, seed)
+                 for mode, seed in (("none", 41), ("impulses", 42)))
+
+
+def captured(cases: dict[str, np.ndarray]) -> str:
+    k, n = int(cases["captured"].sum()), cases["captured"].size
+    low, high = wilson(k, n)
+    return f"{k} of {n} ({low:.2f} to {high:.2f})" + (f", {cases['failed']} failed" if cases["failed"] else "")
+
+
+def outcomes(castnet: str, scenes: list[str], seeds: int, fresh: bool) -> str:
+    first = ["| capture | captured, passing through (95 %) | held apart | s a run | |", "|---|---|---|---|---|"]
+    second = ["| capture | observable | passing through | held apart | change of the mean, 95 % | KS p |", "|---|---|---|---|---|---|"]
+    spent = 0.0
+    for scene in scenes:
+        both = pair(scene, seeds)
+        for ensemble in both:
+            run(ensemble, castnet, fresh=fresh)
+            spent += cost(ensemble) * ensemble.seeds
+        a, b = (read(ensemble) for ensemble in both)
+        first.append(f"| {SCENES[scene][0]} | {captured(a)} | {captured(b)} | {cost(both[0]):.2g} | {cost(both[1]):.2g} |")
+        for column, (heading, unit, factor) in OBSERVABLES.items():
+            d = difference(a[column], b[column])
+            second.append(f"| {SCENES[scene][0]} | {heading} {unit} | {d.reference[0] * factor:.4g} +- {d.reference[1] * factor:.2g} | "
+                          f"{d.candidate[0] * factor:.4g} +- {d.candidate[1] * factor:.2g} | {100 * d.change:+.1f} +- {100 * d.half:.1f} % | {d.p:.2g} |")
+    commit = " ".join(version_of(pair(scenes[0], seeds)[0]).split()[:4])
+    return "\n".join([*first, "", *second, "", f"{spent:.0f} s of processor time, castnet {commit}.", ""])
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scenes", nargs="*", default=list(SCENES))
-    parser.add_argument("--seeds", type=int, default=4)
+    parser.add_argument("scenes", nargs="*", default=list(SCENES), metavar="SCENE", help=", ".join(SCENES))
+    parser.add_argument("--seeds", type=int, default=64, help="of each ensemble")
+    parser.add_argument("--counted", type=int, default=4, help="runs whose crossings are counted")
     parser.add_argument("--castnet")
+    parser.add_argument("--fresh", action="store_true")
     parser.add_argument("-o", "--output")
     options = parser.parse_args()
     castnet = find_castnet(options.castnet)
-    text = ["| capture | crossings before contact | after | of taut pairs, before | after | touching at a frame |", "|---|---|---|---|---|---|"]
-    with tempfile.TemporaryDirectory() as folder:
-        for scene in options.scenes:
-            runs = [fly(castnet, scene, seed, Path(folder)) for seed in range(1, options.seeds + 1)]
-            cells = []
-            for name in ("before", "after", "taut before", "taut after", "touching"):
-                v = np.array([r[name] for r in runs])
-                cells.append(f"{v.mean():.4g} ({v.min():.4g} to {v.max():.4g})")
-            text.append(f"| {scene} | " + " | ".join(cells) + " |")
-    text = "\n".join(text) + "\n"
+    text = "\n".join([counts(castnet, options.scenes, options.counted) if options.counted else "",
+                      outcomes(castnet, options.scenes, options.seeds, options.fresh)])
     if options.output:
         Path(options.output).write_text(text)
     else:

@@ -5,6 +5,7 @@ module castnet_run_report
   use castnet_record, only: summary_t, capture_measures_t, history_row_t, verdict_captured, verdict_marginal
   use castnet_runner, only: run_ledger_t
   use castnet_simulation, only: simulation_t
+  use castnet_text, only: to_text
   implicit none
   private
   public :: report_result, report_ledger, report_timings
@@ -27,11 +28,22 @@ contains
         call log_result(log, 'first contact    none')
       end if
     end if
+    if (allocated(summary%self_contacts)) call log_result(log, 'net on net       '//crossings_text(summary))
     if (.not. (allocated(sim%model%net) .and. allocated(sim%model%target))) return
     do k = 1, size(summary%measures)
       call log_result(log, 'at '//short(summary%measures(k)%time)//' s'//verdict_text(summary%measures(k)))
     end do
   end subroutine report_result
+
+  !> '1946 crossings of cables, 74 of taut ones'.
+  function crossings_text(summary) result(text)
+    type(summary_t), intent(in) :: summary
+    character(len=:), allocatable :: text
+    associate (counts => summary%self_contacts)
+      text = to_text(counts(1))//' crossings of cables, '//to_text(counts(2))//' of taut ones'
+      if (summary%keeps_cables_apart) text = text//'; '//to_text(counts(3))//' not undone'
+    end associate
+  end function crossings_text
 
   function verdict_text(m) result(text)
     type(capture_measures_t), intent(in) :: m

@@ -244,6 +244,7 @@ contains
     call exchange(archive, 'first_contact', state%first_contact)
     call exchange(archive, 'impulse_histogram', state%impulse_histogram)
     call exchange_measures(archive, state%measures)
+    call exchange(archive, 'self_contacts', state%self_contacts)
     call exchange(archive, 'skip_contact_until', state%skip_contact_until)
   end subroutine exchange_state
 

@@ -55,6 +55,12 @@ contains
       call write_value(file, group, 'effective_period', deployment%effective_period, 's', error)
       call write_value(file, group, 'open_period', deployment%open_period, 's', error)
     end associate
+    if (allocated(summary%self_contacts)) then
+      call write_value(file, group, 'self_contacts', summary%self_contacts(1), '1', error)
+      call write_value(file, group, 'self_contacts_taut', summary%self_contacts(2), '1', error)
+      if (summary%keeps_cables_apart) &
+        call write_value(file, group, 'self_contacts_unresolved', summary%self_contacts(3), '1', error)
+    end if
     call write_value(file, group, 'wall_time', summary%wall_time, 's', error)
     call write_value(file, group, 'steps', summary%steps, '1', error)
     call write_value(file, group, 'force_evaluations', summary%force_evaluations, '1', error)

@@ -4,6 +4,7 @@ module castnet_model_builder
   use castnet_kinds, only: wp, i8
   use castnet_error, only: error_t, fail, exit_input
   use castnet_model, only: model_t, target_t, contact_t, closing_t, law_impulse, law_penalty, law_hunt_crossley, &
+                           self_contact_none, self_contact_count, self_contact_impulses, &
                            method_rk4, method_midpoint, method_adaptive, trigger_contact, trigger_time, trigger_passed_target
   use castnet_net, only: net_t
   use castnet_net_builder, only: square_net_nodes, build_square_net, finish_net
@@ -244,6 +245,14 @@ contains
       contact%threshold = group%threshold
       if (is_set(group%stiffness)) contact%stiffness = group%stiffness
       if (is_set(group%damping)) contact%damping = group%damping
+      select case (trim(group%self_contact))
+      case ('count')
+        contact%self_contact = self_contact_count
+      case ('impulses')
+        contact%self_contact = self_contact_impulses
+      case default
+        contact%self_contact = self_contact_none
+      end select
     end associate
   end subroutine build_contact
 

@@ -65,6 +65,8 @@ module castnet_record
     real(wp) :: first_contact = 0.0_wp       !! [s], NaN: none
     real(wp) :: closing_start = 0.0_wp       !! [s], NaN: none
     type(deployment_t) :: deployment         !! all NaN without a mouth of known size
+    integer(i8), allocatable :: self_contacts(:) !! (3) crossings of cables: all, of taut ones, not undone; where counted
+    logical :: keeps_cables_apart = .false.
     real(wp) :: wall_time = 0.0_wp           !! [s]
     integer(i8) :: steps = 0, force_evaluations = 0
   end type summary_t

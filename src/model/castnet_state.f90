@@ -10,6 +10,7 @@ module castnet_state
   private
   public :: state_t, body_state_t, closing_state_t, deployment_state_t, ledger_t, tally_t, schedule_t
   public :: area_bins, area_bins_per_unit
+  public :: self_all, self_taut, self_unresolved
   public :: impulse_bins, impulse_bin_low, impulse_bins_per_decade
 
   !> Impulses of single contacts are counted in logarithmic bins, so that their
@@ -23,6 +24,9 @@ module castnet_state
   !> area: up to 1.28 of it, so that a stretched net fits.
   integer, parameter :: area_bins = 1024
   real(wp), parameter :: area_bins_per_unit = 800.0_wp
+
+  !> What is counted of cables that pass through each other.
+  integer, parameter :: self_all = 1, self_taut = 2, self_unresolved = 3
 
   !> The rigid target.
   type :: body_state_t
@@ -102,6 +106,7 @@ module castnet_state
     real(wp) :: first_contact = -1.0_wp       !! time of the first impulse [s], negative: none yet
     integer(i8), allocatable :: impulse_histogram(:) !! (impulse_bins), bullets excluded; allocated with contact
     type(capture_measures_t), allocatable :: measures(:) !! taken so far at the scene's verdict times
+    integer(i8), allocatable :: self_contacts(:)     !! (3) crossings so far: all, of taut cables, not undone; where counted
     real(wp) :: skip_contact_until = 0.0_wp   !! proven: nothing can touch before this time [s]
   end type state_t
 

@@ -1,11 +1,11 @@
 !> From a scene to a run that is ready to step: model, state, scratch and the step.
 module castnet_setup
-  use castnet_kinds, only: wp
+  use castnet_kinds, only: wp, i8
   use castnet_closing_thread, only: update_closing
   use castnet_compliant_contact, only: is_compliant, contact_rates
   use castnet_error, only: error_t, fail, exit_input
   use castnet_integrator, only: midpoint_begin, midpoint_damping
-  use castnet_model, only: model_t, method_midpoint
+  use castnet_model, only: model_t, method_midpoint, self_contact_none
   use castnet_model_builder, only: file_net_t, build_model
   use castnet_net, only: net_t
   use castnet_net_builder, only: build_square_net
@@ -70,6 +70,8 @@ contains
     if (model%method == method_midpoint) call midpoint_begin(state)
     if (allocated(model%closing)) call update_closing(model, state, 0.0_wp)
     allocate (state%measures(size(scene%output%verdict_times)))
+    if (.not. allocated(model%contact)) return
+    if (model%contact%self_contact /= self_contact_none) allocate (state%self_contacts(3), source=0_i8)
   end subroutine set_up
 
   !> The step: the scene's own, refused above the limit (or warned of), or 0.7 of the

@@ -6,7 +6,7 @@ module castnet_simulation
   use castnet_deployment, only: begin_deployment, observe_deployment, deployment_of
   use castnet_diagnostics, only: record_history, impulse_percentiles
   use castnet_error, only: error_t
-  use castnet_model, only: model_t
+  use castnet_model, only: model_t, self_contact_impulses
   use castnet_model_builder, only: file_net_t
   use castnet_monitors, only: check_state, mechanical_energy
   use castnet_record, only: deployment_t, history_row_t, summary_t, thresholds_t, verdict_captured
@@ -212,6 +212,10 @@ contains
       summary%deployment = deployment_of(sim%state%deployment, sim%model%net%flat_area)
     else
       summary%deployment = deployment_t(nan, nan, nan, nan, nan, nan)
+    end if
+    if (allocated(sim%state%self_contacts)) then
+      summary%self_contacts = sim%state%self_contacts
+      summary%keeps_cables_apart = sim%model%contact%self_contact == self_contact_impulses
     end if
     summary%wall_time = wall_time
     summary%steps = sim%state%step

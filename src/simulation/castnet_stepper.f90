@@ -10,6 +10,7 @@ module castnet_stepper
   use castnet_integrator, only: flow_work_t, new_flow_work, rk4_step, midpoint_step, midpoint_positions, midpoint_disturbed, &
                                 midpoint_disturbed_at
   use castnet_model, only: model_t, method_midpoint, method_adaptive
+  use castnet_self_contact, only: self_contact_work_t, new_self_contact_work, remember_nodes, handle_self_contacts
   use castnet_state, only: state_t
   implicit none
   private
@@ -29,6 +30,7 @@ module castnet_stepper
   type :: work_t
     type(flow_work_t) :: flow
     type(contact_work_t) :: contact
+    type(self_contact_work_t) :: self_contact
     type(timings_t) :: timings
     logical :: has_potential = .false.             !! something outside does work
     logical :: has_field = .false.                 !! and it needs the nodes' positions
@@ -50,6 +52,7 @@ contains
     work%has_field = has_net_field(model)
     if (.not. allocated(model%contact)) return
     call new_contact_work(work%contact, model)
+    call new_self_contact_work(work%self_contact, model)
   end subroutine new_work
 
   !> Advance by one step.
@@ -62,6 +65,7 @@ contains
     integer(i8) :: began, moved, met
 
     if (work%timings%wanted) call system_clock(began)
+    if (work%self_contact%wanted) call remember_nodes(state, work%self_contact)
     potential = 0.0_wp
     if (work%has_potential) potential = external_potential(model, state)
     select case (model%method)
@@ -81,6 +85,11 @@ contains
     state%time = real(state%step, wp)*model%step
     if (work%timings%wanted) call system_clock(moved)
     if (allocated(model%contact)) call meet(model, state, work, error)
+    if (work%self_contact%wanted) then
+      call settle(model, state, work)
+      call handle_self_contacts(model, state, work%self_contact)
+      if (work%self_contact%acted) call midpoint_disturbed(work%flow)
+    end if
     if (allocated(model%closing)) then
       call settle(model, state, work)
       call update_closing(model, state, model%step)
