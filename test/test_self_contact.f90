@@ -280,7 +280,8 @@ contains
     type(state_t) :: state
     type(work_t) :: work
     real(wp) :: position(2*n, 3), velocity(2*n, 3), mass(2*n), natural(2*n - 2), one(2*n - 2), energy, own, lowest
-    integer :: nodes(2, 2*n - 2), mode, i, k
+    integer, parameter :: modes(2) = [self_contact_count, self_contact_impulses]
+    integer :: nodes(2, 2*n - 2), m, i, k
     logical :: fixed(2*n)
     position = 0.0_wp
     velocity = 0.0_wp
@@ -300,9 +301,9 @@ contains
     end do
     one = 1.0_wp
     natural = 0.999_wp*length
-    do mode = self_contact_count, self_contact_impulses
+    do m = 1, size(modes)
       call net_of(mass, fixed, nodes, stiffness*one, natural, 0.05_wp*one, .true., position, velocity, model, state)
-      call far_target(model, state, mode)
+      call far_target(model, state, modes(m))
       call ready(model, state, work, method_midpoint, 2.0e-4_wp)
       energy = mechanical_energy(model, state)
       lowest = 0.0_wp
@@ -313,7 +314,7 @@ contains
         energy = own
         lowest = min(lowest, minval(state%node_position(2:n - 1, 3)))
       end do
-      if (mode == self_contact_count) then
+      if (modes(m) == self_contact_count) then
         call expect_equal(int(state%self_contacts(self_all)), 1, 'passing through is one crossing')
         call expect_close(minval(state%node_position(n + 1:, 3)), 0.02_wp - 0.2_wp, 'and nothing else', atol=1.0e-3_wp)
       else

@@ -4,7 +4,8 @@
     tools/self_contact.py [SCENE ...] [--seeds N] [--counted N] [--castnet PROGRAM] [--fresh] [-o TABLES.md]
 
 Counts of crossings (contact/self_contact = 'count') of a few runs, and ensembles whose cables pass through each other
-against ensembles whose cables are held apart ('impulses'): default method and step, the nodes nudged by a micrometre.
+against ensembles whose cables are held apart ('impulses'; 'taut': only where both are taut). Default method and step,
+the nodes nudged by a micrometre.
 """
 import argparse
 import sys
@@ -24,15 +25,15 @@ SCENES = {   # scene: name, settings
     "rocket_x_0.7": ("rocket, B, 0.7 rad/s", ROCKET),
     "rocket_closing_x_1.1": ("rocket, B, 1.1 rad/s, closing", {}),
 }
-OBSERVABLES = {   # column: heading, unit, factor
-    "coverage": ("coverage", "", 1.0),
-    "largest_hole": ("largest hole", "degree", 1.0),
-    "cqi": ("CQI", "", 1.0),
-    "final_speed": ("target's speed", "mm/s", 1e3),
-    "spin_change": ("change of its spin", "mrad/s", 1e3),
-    "max_tension": ("largest tension", "N", 1.0),
-    "first_contact": ("first contact", "s", 1.0),
+OBSERVABLES = {   # column: heading, factor
+    "coverage": ("coverage", 1.0),
+    "largest_hole": ("largest hole, degrees", 1.0),
+    "cqi": ("CQI", 1.0),
+    "final_speed": ("target's speed, mm/s", 1e3),
+    "spin_change": ("change of its spin, mrad/s", 1e3),
+    "max_tension": ("largest tension, N", 1.0),
 }
+MODES = {"none": "passing through", "taut": "held apart where taut", "impulses": "held apart"}
 KEY = "contact/self_contact"
 
 
@@ -60,28 +61,29 @@ def mean_and_range(values: np.ndarray) -> str:
 
 
 def counts(castnet: str, scenes: list[str], seeds: int) -> str:
-    """Crossings of whole captures and of their flights up to first contact."""
-    text = ["| capture | crossings before contact | after | of taut cables, before | after | held apart: collisions | not undone |",
-            "|---|---|---|---|---|---|---|"]
+    """Crossings of whole captures and of their flights up to first contact; what is left of them when cables are held apart."""
+    text = ["| capture | crossings before contact | after | of taut cables, before | after | held apart where taut: collisions | not undone | "
+            "held apart: collisions | not undone |", "|---" * 9 + "|"]
     with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
         for scene in scenes:
-            whole = flights(castnet, scene, seeds, "count", Path(name))
+            whole = flights(castnet, scene, seeds, "count", folder)
             contact = summaries(whole, "first_contact")
             until = {k + 1: {"time/end_time": repr(float(t)), "output/verdict_times": repr(float(t))} for k, t in enumerate(contact)}
-            flown = flights(castnet, scene, seeds, "count", Path(name), until)
-            apart = flights(castnet, scene, seeds, "impulses", Path(name))
+            flown = flights(castnet, scene, seeds, "count", folder, until)
             cells = []
             for column in ("self_contacts", "self_contacts_taut"):
                 before = summaries(flown, column)
                 cells += [mean_and_range(before), mean_and_range(summaries(whole, column) - before)]
-            cells += [mean_and_range(summaries(apart, column)) for column in ("self_contacts", "self_contacts_unresolved")]
+            for mode in ("taut", "impulses"):
+                apart = flights(castnet, scene, seeds, mode, folder)
+                cells += [mean_and_range(summaries(apart, column)) for column in ("self_contacts", "self_contacts_unresolved")]
             text.append(f"| {SCENES[scene][0]} | " + " | ".join(cells) + " |")
     return "\n".join([*text, "", f"Mean (and range) of {seeds} runs each.", ""])
 
 
-def pair(scene: str, seeds: int) -> tuple[Ensemble, Ensemble]:
-    return tuple(Ensemble(f"self_{mode}_{scene}", scene, SCENES[scene][1] | {KEY: f"'{mode}'"}, seeds, seed)
-                 for mode, seed in (("none", 41), ("impulses", 42)))
+def ensembles(scene: str, seeds: int) -> list[Ensemble]:
+    return [Ensemble(f"self_{mode}_{scene}", scene, SCENES[scene][1] | {KEY: f"'{mode}'"}, seeds, 41 + i) for i, mode in enumerate(MODES)]
 
 
 def captured(cases: dict[str, np.ndarray]) -> str:
@@ -91,22 +93,29 @@ def captured(cases: dict[str, np.ndarray]) -> str:
 
 
 def outcomes(castnet: str, scenes: list[str], seeds: int, fresh: bool) -> str:
-    first = ["| capture | captured, passing through (95 %) | held apart | s a run | |", "|---|---|---|---|---|"]
-    second = ["| capture | observable | passing through | held apart | change of the mean, 95 % | KS p |", "|---|---|---|---|---|---|"]
+    names = list(MODES.values())
+    first = ["| capture | captured (95 %): " + " | ".join(names) + " | s a run: " + " | ".join(names) + " |", "|---" * 7 + "|"]
+    second = [f"| capture | observable | {names[0]} | " + " | ".join(f"{name} | change, 95 % | KS p" for name in names[1:]) + " |", "|---" * 9 + "|"]
     spent = 0.0
     for scene in scenes:
-        both = pair(scene, seeds)
-        for ensemble in both:
+        name, found = SCENES[scene][0], ensembles(scene, seeds)
+        for ensemble in found:
             run(ensemble, castnet, fresh=fresh)
             spent += cost(ensemble) * ensemble.seeds
-        a, b = (read(ensemble) for ensemble in both)
-        first.append(f"| {SCENES[scene][0]} | {captured(a)} | {captured(b)} | {cost(both[0]):.2g} | {cost(both[1]):.2g} |")
-        for column, (heading, unit, factor) in OBSERVABLES.items():
-            d = difference(a[column], b[column])
-            second.append(f"| {SCENES[scene][0]} | {heading} {unit} | {d.reference[0] * factor:.4g} +- {d.reference[1] * factor:.2g} | "
-                          f"{d.candidate[0] * factor:.4g} +- {d.candidate[1] * factor:.2g} | {100 * d.change:+.1f} +- {100 * d.half:.1f} % | {d.p:.2g} |")
-    commit = " ".join(version_of(pair(scenes[0], seeds)[0]).split()[:4])
-    return "\n".join([*first, "", *second, "", f"{spent:.0f} s of processor time, castnet {commit}.", ""])
+        cases = [read(ensemble) for ensemble in found]
+        first.append(f"| {name} | " + " | ".join([*map(captured, cases), *(f"{cost(ensemble):.2g}" for ensemble in found)]) + " |")
+        for column, (heading, factor) in OBSERVABLES.items():
+            cells = [spread(cases[0][column], factor)]
+            for other in cases[1:]:
+                d = difference(cases[0][column], other[column])
+                cells += [spread(other[column], factor), f"{100 * d.change:+.0f} +- {100 * d.half:.0f} %", f"{d.p:.1g}"]
+            second.append(f"| {name} | {heading} | " + " | ".join(cells) + " |")
+    return "\n".join([*first, "", *second, "", f"{seeds} runs of each kind, {spent:.0f} s of processor time; "
+                      f"{version_of(ensembles(scenes[0], seeds)[0]).split(' with ')[0]}.", ""])
+
+
+def spread(values: np.ndarray, factor: float) -> str:
+    return f"{factor * values.mean():.3g} +- {factor * values.std(ddof=1):.2g}"
 
 
 def main() -> int:

@@ -43,10 +43,10 @@ contains
     u(:, 2) = to(:, 2) - to(:, 1)
     v(:, 2) = to(:, 4) - to(:, 3)
     w(:, 2) = to(:, 3) - to(:, 1)
-    b(0) = volume(1, 1, 1)
-    b(1) = (volume(2, 1, 1) + volume(1, 2, 1) + volume(1, 1, 2))/3.0_wp
-    b(2) = (volume(2, 2, 1) + volume(2, 1, 2) + volume(1, 2, 2))/3.0_wp
-    b(3) = volume(2, 2, 2)
+    b(0) = volume(u(:, 1), v(:, 1), w(:, 1))
+    b(1) = (volume(u(:, 2), v(:, 1), w(:, 1)) + volume(u(:, 1), v(:, 2), w(:, 1)) + volume(u(:, 1), v(:, 1), w(:, 2)))/3.0_wp
+    b(2) = (volume(u(:, 2), v(:, 2), w(:, 1)) + volume(u(:, 2), v(:, 1), w(:, 2)) + volume(u(:, 1), v(:, 2), w(:, 2)))/3.0_wp
+    b(3) = volume(u(:, 2), v(:, 2), w(:, 2))
     if (all(b >= 0.0_wp) .or. all(b < 0.0_wp)) return
     call turning_points(b, n_stop, stop_at)
     n_stop = n_stop + 1
@@ -60,15 +60,13 @@ contains
       low = high
       above = above_next
     end do
-
-  contains
-
-    pure real(wp) function volume(i, j, k)
-      integer, intent(in) :: i, j, k  !! each 1: before, or 2: after
-      volume = dot(cross(u(:, i), v(:, j)), w(:, k))
-    end function volume
-
   end subroutine segments_cross
+
+  !> u x v . w.
+  pure real(wp) function volume(u, v, w)
+    real(wp), intent(in) :: u(3), v(3), w(3)
+    volume = (u(2)*v(3) - u(3)*v(2))*w(1) + (u(3)*v(1) - u(1)*v(3))*w(2) + (u(1)*v(2) - u(2)*v(1))*w(3)
+  end function volume
 
   !> Do the lines meet within both segments at this time?
   pure subroutine look_at(u, v, w, time, from_above, found)

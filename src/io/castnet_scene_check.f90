@@ -195,9 +195,10 @@ contains
       if (scene%contact%law /= 'impulse' .and. scene%contact%detect == 'cables') call problem('contact', 'detect', &
         'seen ''cables'' with law = '''//trim(scene%contact%law)//'''; springs act on nodes only: '// &
         'give detect = ''nodes'' or law = ''impulse''')
-      if (scene%contact%law /= 'impulse' .and. scene%contact%self_contact == 'impulses') call problem('contact', 'self_contact', &
-        'seen ''impulses'' with law = '''//trim(scene%contact%law)//'''; cables are held apart by impulses only: '// &
-        'give self_contact = ''count'' or law = ''impulse''')
+      if (scene%contact%law /= 'impulse' .and. scene%contact%self_contact /= 'none' .and. &
+          scene%contact%self_contact /= 'count') call problem('contact', 'self_contact', &
+        'seen '//quoted(trim(scene%contact%self_contact))//' with law = '//quoted(trim(scene%contact%law))// &
+        '; cables are held apart by impulses only: give self_contact = ''count'' or law = ''impulse''')
     end if
     if (allocated(scene%contact) .and. .not. (net .and. target)) call problem('contact', '', &
       'contact needs both a &net and a &target; there is no &'//trim(merge('net   ', 'target', .not. net)))

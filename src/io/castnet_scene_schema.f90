@@ -168,8 +168,9 @@ contains
                       low=1.0e-6_wp, high=1.0e15_wp, need=compliant_law, use=compliant_law)
       call t%real_key('damping', g%damping, 'N s/m', 'of the compliant laws (hunt_crossley: s/m)', &
                       low=0.0_wp, high=1.0e15_wp, use=compliant_law, fallback='0')
-      call t%word_key('self_contact', g%self_contact, 'none count impulses', &
-                      'the net''s cables among themselves: pass through each other, the same and counted, or held apart')
+      call t%word_key('self_contact', g%self_contact, 'none count taut impulses', &
+                      'the net''s cables among themselves: they pass through each other; the same, counted; held apart where '// &
+                      'both are taut; held apart')
     end associate
   end subroutine contact_keys
 

@@ -8,12 +8,12 @@ module castnet_model
   public :: model_t, target_t, contact_t, closing_t
   public :: law_impulse, law_penalty, law_hunt_crossley, method_rk4, method_midpoint, method_adaptive
   public :: trigger_contact, trigger_time, trigger_passed_target
-  public :: self_contact_none, self_contact_count, self_contact_impulses
+  public :: self_contact_none, self_contact_count, self_contact_taut, self_contact_impulses
 
   integer, parameter :: law_impulse = 1, law_penalty = 2, law_hunt_crossley = 3
   integer, parameter :: method_rk4 = 1, method_midpoint = 2, method_adaptive = 3
   integer, parameter :: trigger_contact = 1, trigger_time = 2, trigger_passed_target = 3
-  integer, parameter :: self_contact_none = 0, self_contact_count = 1, self_contact_impulses = 2
+  integer, parameter :: self_contact_none = 0, self_contact_count = 1, self_contact_taut = 2, self_contact_impulses = 3
 
   !> The rigid target.
   type :: target_t

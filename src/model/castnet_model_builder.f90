@@ -4,7 +4,7 @@ module castnet_model_builder
   use castnet_kinds, only: wp, i8
   use castnet_error, only: error_t, fail, exit_input
   use castnet_model, only: model_t, target_t, contact_t, closing_t, law_impulse, law_penalty, law_hunt_crossley, &
-                           self_contact_none, self_contact_count, self_contact_impulses, &
+                           self_contact_none, self_contact_count, self_contact_taut, self_contact_impulses, &
                            method_rk4, method_midpoint, method_adaptive, trigger_contact, trigger_time, trigger_passed_target
   use castnet_net, only: net_t
   use castnet_net_builder, only: square_net_nodes, build_square_net, finish_net
@@ -248,6 +248,8 @@ contains
       select case (trim(group%self_contact))
       case ('count')
         contact%self_contact = self_contact_count
+      case ('taut')
+        contact%self_contact = self_contact_taut
       case ('impulses')
         contact%self_contact = self_contact_impulses
       case default

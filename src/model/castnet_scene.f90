@@ -73,7 +73,7 @@ module castnet_scene
     character(len=word_length) :: solver = 'reduced'     !! 'reduced', 'dense'
     real(wp) :: stiffness = unset                   !! compliant laws [N/m] or [N/m^1.5]
     real(wp) :: damping = unset                     !! compliant laws [N s/m] or [s/m]
-    character(len=word_length) :: self_contact = 'none' !! 'none', 'count', 'impulses'
+    character(len=word_length) :: self_contact = 'none' !! 'none', 'count', 'taut', 'impulses'
   end type contact_group_t
 
   type :: closing_group_t

@@ -20,7 +20,7 @@
 !> snaps taut, for which E is taken `energy_margin` times larger.
 module castnet_contact_horizon
   use castnet_kinds, only: wp
-  use castnet_model, only: model_t, trigger_contact, trigger_time, law_impulse, self_contact_impulses
+  use castnet_model, only: model_t, trigger_contact, trigger_time, law_impulse, self_contact_taut, self_contact_impulses
   use castnet_state, only: state_t
   use castnet_net, only: net_t
   use castnet_shape, only: shape_bounding_radius
@@ -89,7 +89,7 @@ contains
     type(state_t), intent(in) :: state
     bound_exists = .not. abs(model%orbit_rate) > 0.0_wp .and. model%contact%law == law_impulse
     ! Cables that are held apart are moved, which may cost energy.
-    if (model%contact%self_contact == self_contact_impulses) bound_exists = .false.
+    if (any(model%contact%self_contact == [self_contact_taut, self_contact_impulses])) bound_exists = .false.
     if (any(model%net%fixed)) then
       if (any(abs(model%gravity) > 0.0_wp) .or. supports_move(model%net, state%node_velocity)) bound_exists = .false.
     end if

@@ -14,7 +14,7 @@ module castnet_self_contact
   use castnet_cable_pairs, only: cable_pairs_t, new_cable_pairs, update_pairs
   use castnet_contact_projection, only: cable_incidence_t, new_incidence, energy_of_cables_at
   use castnet_crossing, only: crossing_t, segments_cross
-  use castnet_model, only: model_t, self_contact_none, self_contact_impulses
+  use castnet_model, only: model_t, self_contact_none, self_contact_count, self_contact_taut
   use castnet_net, only: net_t
   use castnet_state, only: state_t, self_all, self_taut, self_unresolved
   implicit none
@@ -54,7 +54,7 @@ contains
     call new_cable_pairs(work%pairs, model%net)
     allocate (work%before(model%net%n_pad, 3), source=0.0_wp)
     allocate (work%hit(model%net%n_cable))
-    if (model%contact%self_contact == self_contact_impulses) call new_incidence(work%incidence, model%net)
+    if (model%contact%self_contact /= self_contact_count) call new_incidence(work%incidence, model%net)
   end subroutine new_self_contact_work
 
   !> Where the nodes are at a step's start.
@@ -71,11 +71,12 @@ contains
     type(state_t), intent(inout) :: state
     type(self_contact_work_t), intent(inout) :: work
     integer :: sweep, k
-    logical :: undo
-    undo = model%contact%self_contact == self_contact_impulses
+    logical :: undo, taut_only
+    undo = model%contact%self_contact /= self_contact_count
+    taut_only = model%contact%self_contact == self_contact_taut
     work%acted = .false.
     associate (net => model%net, counts => state%self_contacts)
-      call find_hits(net, net%n_pad, state%node_position, undo, work)
+      call find_hits(net, net%n_pad, state%node_position, undo, taut_only, work)
       do k = 1, work%n_hit
         counts(self_all) = counts(self_all) + work%hit(k)%crossing%n
         if (is_taut(net, net%n_pad, state%node_position, work%hit(k)%cable(1)) .and. &
@@ -90,7 +91,7 @@ contains
           call hold_apart(model, net%n_pad, work%hit(k), state, work%incidence)
         end do
         work%acted = .true.
-        call find_hits(net, net%n_pad, state%node_position, undo, work)
+        call find_hits(net, net%n_pad, state%node_position, undo, taut_only, work)
       end do
       counts(self_unresolved) = counts(self_unresolved) + work%n_hit
     end associate
@@ -98,19 +99,19 @@ contains
 
   !> Every pair that has passed through itself, in no order; `through`: but for those that
   !> went through and back within the step.
-  subroutine find_hits(net, n_pad, x, through, work)
+  subroutine find_hits(net, n_pad, x, through, taut_only, work)
     type(net_t), intent(in) :: net
     integer, intent(in) :: n_pad
     real(wp), intent(in) :: x(n_pad, 3)
-    logical, intent(in) :: through
+    logical, intent(in) :: through, taut_only
     type(self_contact_work_t), intent(inout) :: work
     type(crossing_t) :: crossing
     real(wp) :: from(3, 4), to(3, 4)
-    integer :: k, c, e, node(4)
+    integer :: k, m, c, e, node(4)
     call update_pairs(work%pairs, net, n_pad, work%before, x)
     work%n_hit = 0
-    do k = 1, work%pairs%n
-      if (work%pairs%distance(k) > work%pairs%reach) cycle
+    do m = 1, work%pairs%n_close
+      k = work%pairs%close(m)
       node = [net%cable_nodes(:, work%pairs%first(k)), net%cable_nodes(:, work%pairs%second(k))]
       do e = 1, 4
         do c = 1, 3
@@ -120,6 +121,9 @@ contains
       end do
       call segments_cross(from, to, crossing)
       if (crossing%n == 0 .or. (through .and. modulo(crossing%n, 2) == 0)) cycle
+      if (taut_only) then
+        if (.not. (is_taut(net, n_pad, x, work%pairs%first(k)) .and. is_taut(net, n_pad, x, work%pairs%second(k)))) cycle
+      end if
       if (work%n_hit == size(work%hit)) call grow(work%hit)
       work%n_hit = work%n_hit + 1
       work%hit(work%n_hit)%cable = [work%pairs%first(k), work%pairs%second(k)]

@@ -6,7 +6,7 @@ module castnet_simulation
   use castnet_deployment, only: begin_deployment, observe_deployment, deployment_of
   use castnet_diagnostics, only: record_history, impulse_percentiles
   use castnet_error, only: error_t
-  use castnet_model, only: model_t, self_contact_impulses
+  use castnet_model, only: model_t, self_contact_count
   use castnet_model_builder, only: file_net_t
   use castnet_monitors, only: check_state, mechanical_energy
   use castnet_record, only: deployment_t, history_row_t, summary_t, thresholds_t, verdict_captured
@@ -215,7 +215,7 @@ contains
     end if
     if (allocated(sim%state%self_contacts)) then
       summary%self_contacts = sim%state%self_contacts
-      summary%keeps_cables_apart = sim%model%contact%self_contact == self_contact_impulses
+      summary%keeps_cables_apart = sim%model%contact%self_contact /= self_contact_count
     end if
     summary%wall_time = wall_time
     summary%steps = sim%state%step
