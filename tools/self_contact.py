@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
 """Does it matter that a net's cables pass through each other? The tables of docs/net_on_net.md.
 
-    tools/self_contact.py [SCENE ...] [--seeds N] [--counted N] [--castnet PROGRAM] [--fresh] [-o TABLES.md]
+    tools/self_contact.py [SCENE ...] [--seeds N] [--counted N] [--cables N] [--castnet PROGRAM] [--fresh] [-o TABLES.md]
 
 Counts of crossings (contact/self_contact = 'count') of a few runs, and ensembles whose cables pass through each other
 against ensembles whose cables are held apart ('impulses'; 'taut': only where both are taut). Default method and step,
-the nodes nudged by a micrometre.
+the nodes nudged by a micrometre. --cables: in each mesh side, so that a slack side can bend.
 """
 import argparse
 import sys
@@ -82,8 +82,9 @@ def counts(castnet: str, scenes: list[str], seeds: int) -> str:
     return "\n".join([*text, "", f"Mean (and range) of {seeds} runs each.", ""])
 
 
-def ensembles(scene: str, seeds: int) -> list[Ensemble]:
-    return [Ensemble(f"self_{mode}_{scene}", scene, SCENES[scene][1] | {KEY: f"'{mode}'"}, seeds, 41 + i) for i, mode in enumerate(MODES)]
+def ensembles(scene: str, seeds: int, cables: int) -> list[Ensemble]:
+    settings = SCENES[scene][1] | ({"net/cables_per_side": str(cables)} if cables > 1 else {})
+    return [Ensemble(f"self_{mode}_{scene}_{cables}", scene, settings | {KEY: f"'{mode}'"}, seeds, 41 + i) for i, mode in enumerate(MODES)]
 
 
 def captured(cases: dict[str, np.ndarray]) -> str:
@@ -92,13 +93,13 @@ def captured(cases: dict[str, np.ndarray]) -> str:
     return f"{k} of {n} ({low:.2f} to {high:.2f})" + (f", {cases['failed']} failed" if cases["failed"] else "")
 
 
-def outcomes(castnet: str, scenes: list[str], seeds: int, fresh: bool) -> str:
+def outcomes(castnet: str, scenes: list[str], seeds: int, cables: int, fresh: bool) -> str:
     names = list(MODES.values())
     first = ["| capture | captured (95 %): " + " | ".join(names) + " | s a run: " + " | ".join(names) + " |", "|---" * 7 + "|"]
     second = [f"| capture | observable | {names[0]} | " + " | ".join(f"{name} | change, 95 % | KS p" for name in names[1:]) + " |", "|---" * 9 + "|"]
     spent = 0.0
     for scene in scenes:
-        name, found = SCENES[scene][0], ensembles(scene, seeds)
+        name, found = SCENES[scene][0], ensembles(scene, seeds, cables)
         for ensemble in found:
             run(ensemble, castnet, fresh=fresh)
             spent += cost(ensemble) * ensemble.seeds
@@ -110,8 +111,8 @@ def outcomes(castnet: str, scenes: list[str], seeds: int, fresh: bool) -> str:
                 d = difference(cases[0][column], other[column])
                 cells += [spread(other[column], factor), f"{100 * d.change:+.0f} +- {100 * d.half:.0f} %", f"{d.p:.1g}"]
             second.append(f"| {name} | {heading} | " + " | ".join(cells) + " |")
-    return "\n".join([*first, "", *second, "", f"{seeds} runs of each kind, {spent:.0f} s of processor time; "
-                      f"{version_of(ensembles(scenes[0], seeds)[0]).split(' with ')[0]}.", ""])
+    return "\n".join([*first, "", *second, "", f"{seeds} runs of each kind, cables in each mesh side: {cables}; {spent:.0f} s of processor time; "
+                      f"castnet {version_of(ensembles(scenes[0], seeds, cables)[0])}.", ""])
 
 
 def spread(values: np.ndarray, factor: float) -> str:
@@ -121,15 +122,16 @@ def spread(values: np.ndarray, factor: float) -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="*", default=list(SCENES), metavar="SCENE", help=", ".join(SCENES))
-    parser.add_argument("--seeds", type=int, default=64, help="of each ensemble")
+    parser.add_argument("--seeds", type=int, default=16, help="of each ensemble")
     parser.add_argument("--counted", type=int, default=4, help="runs whose crossings are counted")
+    parser.add_argument("--cables", type=int, default=1, help="in each mesh side, of the ensembles")
     parser.add_argument("--castnet")
     parser.add_argument("--fresh", action="store_true")
     parser.add_argument("-o", "--output")
     options = parser.parse_args()
     castnet = find_castnet(options.castnet)
     text = "\n".join([counts(castnet, options.scenes, options.counted) if options.counted else "",
-                      outcomes(castnet, options.scenes, options.seeds, options.fresh)])
+                      outcomes(castnet, options.scenes, options.seeds, options.cables, options.fresh)])
     if options.output:
         Path(options.output).write_text(text)
     else:

@@ -60,16 +60,17 @@ contains
     integer, intent(in) :: n_pad
     real(wp), intent(in) :: before(n_pad, 3), after(n_pad, 3)  !! nodes at the motion's ends [m]
     real(wp) :: most
+    logical :: outdated
     integer :: c, k
     if (net%n_cable == 0) return
-    most = huge(1.0_wp)
+    outdated = .not. pairs%built
     if (pairs%built) then
       pairs%node_move = 0.0_wp
       call add_moves(net%n_node, n_pad, pairs%reference, before, pairs%node_move)
       call add_moves(net%n_node, n_pad, pairs%reference, after, pairs%node_move)
-      most = maxval(pairs%node_move)
+      outdated = 2.0_wp*maxval(pairs%node_move) > pairs%reach*(1.0_wp - margin)
     end if
-    if (2.0_wp*most > pairs%reach*(1.0_wp - margin)) then
+    if (outdated) then
       pairs%node_move = 0.0_wp
       call add_moves(net%n_node, n_pad, before, after, pairs%node_move)
       most = maxval(pairs%node_move)
@@ -150,8 +151,8 @@ contains
                 max(pairs%low(m, third) - pairs%high(k, third), pairs%low(k, third) - pairs%high(m, third))) > 0.0_wp) cycle
         j = pairs%order(m)
         if (share_node(net%cable_nodes(:, i), net%cable_nodes(:, j))) cycle
-        gap = segment_gap(x(net%cable_nodes(1, i), :), x(net%cable_nodes(2, i), :), &
-                          x(net%cable_nodes(1, j), :), x(net%cable_nodes(2, j), :))
+        gap = segment_gap(place(net%cable_nodes(1, i)), place(net%cable_nodes(2, i)), &
+                          place(net%cable_nodes(1, j)), place(net%cable_nodes(2, j)))
         if (gap > pairs%reach) cycle
         if (pairs%n == size(pairs%first)) call grow(pairs)
         pairs%n = pairs%n + 1
@@ -160,6 +161,17 @@ contains
         pairs%distance(pairs%n) = gap
       end do
     end do
+
+  contains
+
+    pure function place(node) result(p)
+      integer, intent(in) :: node
+      real(wp) :: p(3)
+      p(1) = x(node, 1)
+      p(2) = x(node, 2)
+      p(3) = x(node, 3)
+    end function place
+
   end subroutine rebuild
 
   pure logical function share_node(a, b)

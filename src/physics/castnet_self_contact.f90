@@ -39,7 +39,8 @@ module castnet_self_contact
     type(cable_incidence_t) :: incidence
     real(wp), allocatable :: before(:, :)      !! (n_pad,3) nodes where the step began [m]
     integer :: n_hit = 0
-    type(hit_t), allocatable :: hit(:)         !! by their cables' numbers
+    type(hit_t), allocatable :: hit(:)         !! pairs that pass through each other
+    logical, allocatable :: looked_at(:)       !! (n_node) pairs with one of these nodes are looked at
   end type self_contact_work_t
 
 contains
@@ -54,6 +55,7 @@ contains
     call new_cable_pairs(work%pairs, model%net)
     allocate (work%before(model%net%n_pad, 3), source=0.0_wp)
     allocate (work%hit(model%net%n_cable))
+    allocate (work%looked_at(model%net%n_node), source=.true.)
     if (model%contact%self_contact /= self_contact_count) call new_incidence(work%incidence, model%net)
   end subroutine new_self_contact_work
 
@@ -76,6 +78,7 @@ contains
     taut_only = model%contact%self_contact == self_contact_taut
     work%acted = .false.
     associate (net => model%net, counts => state%self_contacts)
+      work%looked_at = .true.
       call find_hits(net, net%n_pad, state%node_position, undo, taut_only, work)
       do k = 1, work%n_hit
         counts(self_all) = counts(self_all) + work%hit(k)%crossing%n
@@ -87,7 +90,11 @@ contains
       do sweep = 1, max_sweep
         if (work%n_hit == 0) return
         call sort_hits(work%hit(:work%n_hit))
+        ! A pair of which no node is moved now will stand as it stands.
+        work%looked_at = .false.
         do k = 1, work%n_hit
+          work%looked_at(net%cable_nodes(:, work%hit(k)%cable(1))) = .true.
+          work%looked_at(net%cable_nodes(:, work%hit(k)%cable(2))) = .true.
           call hold_apart(model, net%n_pad, work%hit(k), state, work%incidence)
         end do
         work%acted = .true.
@@ -113,6 +120,7 @@ contains
     do m = 1, work%pairs%n_close
       k = work%pairs%close(m)
       node = [net%cable_nodes(:, work%pairs%first(k)), net%cable_nodes(:, work%pairs%second(k))]
+      if (.not. any(work%looked_at(node))) cycle
       do e = 1, 4
         do c = 1, 3
           from(c, e) = work%before(node(e), c)
