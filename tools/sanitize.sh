@@ -127,7 +127,7 @@ if wanted memcheck || wanted memory; then
 fi
 if wanted memcheck && command -v valgrind >/dev/null; then
   # Definite leaks only: HDF5 keeps its free lists, libgomp its threads.
-  whole_runs memcheck "$counted" "valgrind -q --error-exitcode=99 --leak-check=full --errors-for-leak-kinds=definite"
+  whole_runs memcheck "$counted" "valgrind -q --error-exitcode=99 --leak-check=full --show-leak-kinds=definite --errors-for-leak-kinds=definite"
 elif wanted memcheck; then
   echo "skip  valgrind is not installed"
 fi
