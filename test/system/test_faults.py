@@ -485,7 +485,8 @@ def check_crash(folder: Path) -> None:
     check("crash: little memory: a documented exit code, three lines at most", limited.returncode in (0, 1, 2, 4) and short(limited),
           (limited.returncode, limited.stderr))
     study = folder / "small_stack.nml"
-    study.write_text(f"&study scene = '{CUBESAT[0]}' /\n&vary key = 'target/mass' values = 2, 3 /\n")
+    masses = ", ".join(str(2 + i / 100) for i in range(100))  # enough for the second thread to get one
+    study.write_text(f"&study scene = '{CUBESAT[0]}' /\n&vary key = 'target/mass' values = {masses} /\n")
     small = subprocess.run([CASTNET, "study", str(study), "--quiet", "--threads", "2", "--set", "time/end_time=0.01",
                             "--set", "output/verdict_times=0.01"], env={**os.environ, "OMP_STACKSIZE": "20K"},
                            capture_output=True, text=True, timeout=300, check=False)
