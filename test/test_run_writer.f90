@@ -243,12 +243,14 @@ contains
     type(dataset_t) :: found
     type(error_t), allocatable :: error
     character(len=:), allocatable :: path
+    real(wp), allocatable :: no_tension(:)
     integer :: ignored
     path = scratch('parts.h5')
     call make_model(model, state, surface)
     deallocate (model%net)
+    allocate (no_tension(0))
     call open_run(writer, path, 'scene', 'effective', model, surface, info, error)
-    call write_frame(writer, model, state, [real(wp) ::], error)
+    call write_frame(writer, model, state, no_tension, error)
     call close_run(writer, summary, status_complete, error)
     call expect_no(error)
     call open_hdf5(file, path, .false., error)

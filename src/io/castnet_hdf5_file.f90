@@ -445,6 +445,8 @@ contains
       if (status >= 0) call h5dclose_f(dataset, ignored)
     else
       call put(file, parent, name, text_type, text_type, [integer(hsize_t) ::], c_loc(buffer), error=error)
+      ! Without it xarray takes a text of fixed length for bytes.
+      call set_attribute(file, parent, name, '_Encoding', 'utf-8', error)
     end if
     call free_type(text_type)
   end subroutine write_short_text
