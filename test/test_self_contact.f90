@@ -145,6 +145,20 @@ contains
     call far_target(model, state, mode)
   end subroutine cloud
 
+  !> Crossings of loose cables i and j on the straight way from one set of nodes to another.
+  type(crossing_t) function crossings_of(i, j, before, after) result(found)
+    integer, intent(in) :: i, j
+    real(wp), intent(in) :: before(:, :), after(:, :)  !! (nodes,3)
+    real(wp) :: from(3, 4), to(3, 4)
+    integer :: e, node(4)
+    node = [2*i - 1, 2*i, 2*j - 1, 2*j]
+    do e = 1, 4
+      from(:, e) = before(node(e), :)
+      to(:, e) = after(node(e), :)
+    end do
+    call segments_cross(from, to, found)
+  end function crossings_of
+
   !> Free flight is one motion along straight lines: looked at as a whole, pair by pair, it
   !> has the crossings that were counted in its steps.
   subroutine count_of_a_cloud()
@@ -153,8 +167,7 @@ contains
     type(work_t) :: work
     type(crossing_t) :: found
     real(wp), allocatable :: start(:, :)
-    real(wp) :: from(3, 4), to(3, 4)
-    integer :: method, i, j, e, all_of_them, taut, node(4)
+    integer :: method, i, j, all_of_them, taut
     do method = method_rk4, method_midpoint
       call cloud(self_contact_count, model, state)
       start = state%node_position
@@ -164,12 +177,7 @@ contains
       taut = 0
       do i = 1, n_loose
         do j = i + 1, n_loose
-          node = [2*i - 1, 2*i, 2*j - 1, 2*j]
-          do e = 1, 4
-            from(:, e) = start(node(e), :)
-            to(:, e) = state%node_position(node(e), :)
-          end do
-          call segments_cross(from, to, found)
+          found = crossings_of(i, j, start, state%node_position)
           all_of_them = all_of_them + found%n
           if (modulo(i, 2) == 0 .and. modulo(j, 2) == 0) taut = taut + found%n
         end do
@@ -239,8 +247,8 @@ contains
     type(work_t) :: work
     type(crossing_t) :: found
     real(wp), allocatable :: start(:, :)
-    real(wp) :: p(3), energy, last, begun, from(3, 4), to(3, 4)
-    integer :: k, i, j, e, node(4), passed
+    real(wp) :: p(3), energy, last, begun
+    integer :: k, i, j, passed
     call cloud(self_contact_impulses, model, state)
     call ready(model, state, work, method_midpoint, 0.01_wp)
     p = linear_momentum(model, state)
@@ -255,12 +263,7 @@ contains
       last = energy
       do i = 1, n_loose
         do j = i + 1, n_loose
-          node = [2*i - 1, 2*i, 2*j - 1, 2*j]
-          do e = 1, 4
-            from(:, e) = start(node(e), :)
-            to(:, e) = state%node_position(node(e), :)
-          end do
-          call segments_cross(from, to, found)
+          found = crossings_of(i, j, start, state%node_position)
           if (modulo(found%n, 2) == 1) passed = passed + 1
         end do
       end do

@@ -9,10 +9,10 @@ module castnet_hdf5_series
                   h5dset_extent_f, h5dget_space_f, h5dget_create_plist_f, h5sget_simple_extent_ndims_f, &
                   h5sget_simple_extent_dims_f, h5s_unlimited_f, h5s_select_set_f, h5p_dataset_create_f, h5p_dataset_xfer_f, &
                   h5pset_btree_ratios_f
-  use castnet_kinds, only: wp, sp, i4, i8
+  use castnet_kinds, only: wp, sp, i8
   use castnet_error, only: error_t, fail, exit_file
   use castnet_hdf5_file, only: hdf5_file_t, location_t, check, joined, set_attribute, kind_double, kind_single, &
-                               kind_integer, kind_long, memory_type, file_type, value_bytes
+                               kind_long, memory_type, file_type, value_bytes
   use castnet_posix, only: clear_system_error
   implicit none
   private
@@ -43,7 +43,7 @@ module castnet_hdf5_series
 
   !> Append one or more frames: values one after the other, Fortran order.
   interface append_frames
-    module procedure append_doubles, append_singles, append_integers, append_longs
+    module procedure append_doubles, append_longs
   end interface append_frames
 
   !> The same, but into memory, until `write_held`.
@@ -200,22 +200,6 @@ contains
     type(error_t), allocatable, intent(inout) :: error
     call append(file, series, kind_double, size(values, kind=i8), c_loc(values), error)
   end subroutine append_doubles
-
-  subroutine append_singles(file, series, values, error)
-    type(hdf5_file_t), intent(inout) :: file
-    type(series_t), intent(inout) :: series
-    real(sp), intent(in), target, contiguous :: values(:)
-    type(error_t), allocatable, intent(inout) :: error
-    call append(file, series, kind_single, size(values, kind=i8), c_loc(values), error)
-  end subroutine append_singles
-
-  subroutine append_integers(file, series, values, error)
-    type(hdf5_file_t), intent(inout) :: file
-    type(series_t), intent(inout) :: series
-    integer(i4), intent(in), target, contiguous :: values(:)
-    type(error_t), allocatable, intent(inout) :: error
-    call append(file, series, kind_integer, size(values, kind=i8), c_loc(values), error)
-  end subroutine append_integers
 
   subroutine append_longs(file, series, values, error)
     type(hdf5_file_t), intent(inout) :: file
