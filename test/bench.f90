@@ -1,7 +1,8 @@
 !> Benchmarks, driven by tools/bench. One line of results each; arguments:
 !>   kernel SQUARES METHOD [THREADS] [KIND]       nanoseconds per node and step, no contact; a digest of
 !>                                                the bits reached; cables. KIND: shuffled, holes, hexagonal,
-!>                                                radial: nets as files may hold them, about as large
+!>                                                radial, round, triangular, irregular: nets as files
+!>                                                may hold them, about as large
 !>   steps SQUARES METHOD N                       so many steps and no timing, for instruction counts
 !>   capture SCENE [group/key=value ...]          a whole run without files, stage by stage
 !>   memory SQUARES                               a few steps of a large net, bytes per node

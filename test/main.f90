@@ -19,6 +19,7 @@ program main
   use test_net_file, only: run_test_net_file
   use test_output_files, only: run_test_output_files
   use test_perturb, only: run_test_perturb
+  use test_lattice, only: run_test_lattice
   use test_renumber, only: run_test_renumber
   use test_rng, only: run_test_rng
   use test_rotation, only: run_test_rotation
@@ -65,6 +66,7 @@ program main
   call run_test_net_file()
   call run_test_output_files()
   call run_test_perturb()
+  call run_test_lattice()
   call run_test_renumber()
   call run_test_rng()
   call run_test_rotation()

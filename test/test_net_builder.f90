@@ -10,7 +10,7 @@ module test_net_builder
   use testing, only: test_case, expect, expect_close, expect_equal, note
   implicit none
   private
-  public :: run_test_net_builder
+  public :: run_test_net_builder, compare_forces, random_net
 
 contains
 
@@ -294,7 +294,7 @@ contains
 
   !> Plan against loop on a random state, clamped or not, 1 and 3 threads: a node's sum has
   !> few terms, so the largest difference is a few units of round-off of the largest force.
-  subroutine compare(model, x, v, words_)
+  subroutine compare_forces(model, x, v, words_)
     type(model_t), intent(inout) :: model
     real(wp), intent(in) :: x(:, :), v(:, :)
     character(len=*), intent(in) :: words_
@@ -309,7 +309,7 @@ contains
       call expect(maxval(abs(plan - cables)) <= 2.0e-13_wp*scale, words_//': forces')
       call expect_close(plan_power, power, words_//': power', rtol=1.0e-12_wp)
     end do
-  end subroutine compare
+  end subroutine compare_forces
 
   subroutine plan_square()
     integer, parameter :: squares(2, 5) = reshape([10, 10, 30, 30, 1, 1, 40, 2, 3, 25], [2, 5])
@@ -334,7 +334,7 @@ contains
         call random_numbers(seed, r)
         v = 20.0_wp*reshape(r, [n, 3])
         deallocate (r)
-        call compare(model, x, v, 'square net')
+        call compare_forces(model, x, v, 'square net')
       end do
     end do
   end subroutine plan_square
@@ -376,7 +376,7 @@ contains
       call random_net(seed, n, cables, fixed, x, v, model)
       diagonals = diagonals + model%net%plan%n_diagonal
       loose = loose + model%net%plan%n_loose
-      call compare(model, x, v, 'random graph')
+      call compare_forces(model, x, v, 'random graph')
       deallocate (cables, fixed, x, v)
     end do
     call note('random graphs: '//words(real(diagonals, wp))//' diagonals, '//words(real(loose, wp))//' loose cables')
@@ -409,7 +409,7 @@ contains
       end select
       allocate (fixed(n), x(n, 3), v(n, 3))
       call random_net(seed, n, cables, fixed, x, v, model)
-      call compare(model, x, v, 'special graph')
+      call compare_forces(model, x, v, 'special graph')
       deallocate (fixed, x, v)
     end do
     ! One node, no cable; two coincident nodes, whose cable has no direction and no tension.
@@ -418,7 +418,7 @@ contains
       allocate (fixed(n), x(n, 3), v(n, 3))
       call random_net(seed, n, cables, fixed, x, v, model)
       x = 0.0_wp
-      call compare(model, x, v, 'coincident nodes')
+      call compare_forces(model, x, v, 'coincident nodes')
       deallocate (fixed, x, v)
     end do
   end subroutine plan_special

@@ -14,11 +14,16 @@ module castnet_cable_plan
   use castnet_kinds, only: wp
   implicit none
   private
-  public :: cable_plan_t, build_cable_plan
+  public :: cable_plan_t, build_cable_plan, sweep_cost
 
   integer, parameter :: longest_gap = 8     !! phantom cables in a row; beyond that a new diagonal begins
   integer, parameter :: shortest_run = 16   !! cables that make a diagonal worth its loop
   real(wp), parameter :: never_taut = 1.0e30_wp  !! natural length of a phantom cable [m]
+
+  ! What a sweep costs, in cables of a diagonal (measured: docs/performance.md).
+  real(wp), parameter :: cost_of_loose = 2.5_wp  !! a loose cable
+  real(wp), parameter :: cost_of_other = 1.8_wp  !! a cable of a diagonal beyond the two full ones
+  real(wp), parameter :: cost_of_run = 20.0_wp   !! such a diagonal, besides its cables
 
   type :: cable_plan_t
     integer :: n_diagonal = 0
@@ -43,6 +48,15 @@ module castnet_cable_plan
     real(wp), allocatable :: applied_damping(:) !! (n_slot) the same as the method applies it (midpoint_damping) [N s/m]
   end type cable_plan_t
 
+  !> Cables in runs of one offset.
+  type :: runs_t
+    integer :: n = 0
+    integer, allocatable :: offset(:), first(:), last(:)  !! first n: second node minus first; first nodes
+    integer, allocatable :: low(:), step(:)               !! (n_cable) first node, second minus first
+    integer, allocatable :: order(:)                      !! (n_cable) by step, then by first node
+    integer, allocatable :: run_of(:)                     !! (n_cable) 0: in none
+  end type runs_t
+
 contains
 
   !> Arrange cables for the kernel. Lengths and stiffnesses must be positive.
@@ -53,47 +67,18 @@ contains
     real(wp), intent(in) :: axial_stiffness(:)     !! EA [N]
     real(wp), intent(in) :: natural_length(:)      !! [m]
     real(wp), intent(in) :: damping(:)             !! [N s/m]
-    integer, allocatable :: order(:), low(:), offset(:), run_of(:)
-    integer :: n_cable, i, j, begin, finish, n_real, slot, d, c
-    integer, allocatable :: off(:), first(:), last(:)
+    type(runs_t) :: runs
+    integer :: n_cable, i, j, slot, d, c
 
     n_cable = size(cable_nodes, 2)
-    allocate (low(n_cable), offset(n_cable), order(n_cable), run_of(n_cable))
-    allocate (off(n_cable), first(n_cable), last(n_cable))
-    allocate (plan%slot_of_cable(n_cable), plan%reversed(n_cable))
-    do c = 1, n_cable
-      low(c) = minval(cable_nodes(:, c))
-      offset(c) = abs(cable_nodes(2, c) - cable_nodes(1, c))
-      plan%reversed(c) = cable_nodes(1, c) > cable_nodes(2, c)
-    end do
-    call sort_cables(n_cable, n_node, low, offset, order)
-
-    ! Cut the sorted list into runs; short ones stay loose. Two cables between the same
-    ! nodes cannot share a diagonal, so a repeated first node also ends a run.
-    run_of = 0
-    begin = 1
-    do while (begin <= n_cable)
-      finish = begin
-      do while (finish < n_cable)
-        i = order(finish); j = order(finish + 1)
-        if (offset(j) /= offset(i)) exit
-        if (low(j) == low(i) .or. low(j) - low(i) > longest_gap) exit
-        finish = finish + 1
-      end do
-      n_real = finish - begin + 1
-      if (n_real >= shortest_run) then
-        plan%n_diagonal = plan%n_diagonal + 1
-        d = plan%n_diagonal
-        off(d) = offset(order(begin)); first(d) = low(order(begin)); last(d) = low(order(finish))
-        run_of(order(begin:finish)) = d
-      end if
-      begin = finish + 1
-    end do
-
-    call longest_first(plan%n_diagonal, off, first, last, run_of)
-    plan%offset = off(:plan%n_diagonal)
-    plan%first = first(:plan%n_diagonal)
-    plan%last = last(:plan%n_diagonal)
+    call find_runs(n_node, cable_nodes, runs)
+    plan%reversed = cable_nodes(1, :) > cable_nodes(2, :)
+    allocate (plan%slot_of_cable(n_cable))
+    plan%n_diagonal = runs%n
+    call longest_first(runs)
+    plan%offset = runs%offset(:runs%n)
+    plan%first = runs%first(:runs%n)
+    plan%last = runs%last(:runs%n)
     allocate (plan%start(plan%n_diagonal))
     if (plan%n_diagonal > 0) plan%max_offset = maxval(plan%offset)
     slot = 1
@@ -102,7 +87,7 @@ contains
       slot = slot + plan%last(d) - plan%first(d) + 1
     end do
     plan%loose_start = slot
-    plan%n_loose = count(run_of == 0)
+    plan%n_loose = count(runs%run_of == 0)
     plan%n_slot = slot - 1 + plan%n_loose
     allocate (plan%stiffness(plan%n_slot), source=0.0_wp)
     allocate (plan%damping(plan%n_slot), source=0.0_wp)
@@ -111,14 +96,14 @@ contains
 
     slot = plan%loose_start
     do i = 1, n_cable
-      c = order(i)
-      d = run_of(c)
+      c = runs%order(i)
+      d = runs%run_of(c)
       if (d > 0) then
-        plan%slot_of_cable(c) = plan%start(d) + low(c) - plan%first(d)
+        plan%slot_of_cable(c) = plan%start(d) + runs%low(c) - plan%first(d)
       else
         plan%slot_of_cable(c) = slot
-        plan%loose_a(slot - plan%loose_start + 1) = low(c)
-        plan%loose_b(slot - plan%loose_start + 1) = low(c) + offset(c)
+        plan%loose_a(slot - plan%loose_start + 1) = runs%low(c)
+        plan%loose_b(slot - plan%loose_start + 1) = runs%low(c) + runs%step(c)
         slot = slot + 1
       end if
       j = plan%slot_of_cable(c)
@@ -130,21 +115,73 @@ contains
     call build_loose_incidence(plan, n_node)
   end subroutine build_cable_plan
 
+  !> Cut the cables, sorted by offset and first node, into runs; short ones stay loose. Two cables
+  !> between the same nodes cannot share a diagonal, so a repeated first node also ends a run.
+  subroutine find_runs(n_node, cable_nodes, runs)
+    integer, intent(in) :: n_node
+    integer, intent(in) :: cable_nodes(:, :)
+    type(runs_t), intent(out) :: runs
+    integer :: n_cable, begin, finish, i, j
+
+    n_cable = size(cable_nodes, 2)
+    allocate (runs%low(n_cable), runs%step(n_cable), runs%order(n_cable))
+    allocate (runs%run_of(n_cable), source=0)
+    allocate (runs%offset(n_cable/shortest_run), runs%first(n_cable/shortest_run), runs%last(n_cable/shortest_run))
+    do i = 1, n_cable
+      runs%low(i) = minval(cable_nodes(:, i))
+      runs%step(i) = abs(cable_nodes(2, i) - cable_nodes(1, i))
+    end do
+    call sort_cables(n_cable, n_node, runs%low, runs%step, runs%order)
+    begin = 1
+    do while (begin <= n_cable)
+      finish = begin
+      do while (finish < n_cable)
+        i = runs%order(finish); j = runs%order(finish + 1)
+        if (runs%step(j) /= runs%step(i)) exit
+        if (runs%low(j) == runs%low(i) .or. runs%low(j) - runs%low(i) > longest_gap) exit
+        finish = finish + 1
+      end do
+      if (finish - begin + 1 >= shortest_run) then
+        runs%n = runs%n + 1
+        runs%offset(runs%n) = runs%step(runs%order(begin))
+        runs%first(runs%n) = runs%low(runs%order(begin))
+        runs%last(runs%n) = runs%low(runs%order(finish))
+        runs%run_of(runs%order(begin:finish)) = runs%n
+      end if
+      begin = finish + 1
+    end do
+  end subroutine find_runs
+
+  !> What a sweep over cables that join these nodes costs, in cables of a diagonal.
+  real(wp) function sweep_cost(n_node, cable_nodes) result(cost)
+    integer, intent(in) :: n_node
+    integer, intent(in) :: cable_nodes(:, :)  !! (2,n_cable)
+    type(runs_t) :: runs
+    integer :: d
+    call find_runs(n_node, cable_nodes, runs)
+    call longest_first(runs)
+    cost = cost_of_loose*count(runs%run_of == 0)
+    do d = 1, runs%n
+      associate (slots => real(runs%last(d) - runs%first(d) + 1, wp))
+        cost = cost + merge(slots, cost_of_other*slots + cost_of_run, d <= 2)
+      end associate
+    end do
+  end function sweep_cost
+
   !> The two longest diagonals come first: the kernel is fastest with those.
-  pure subroutine longest_first(n, offset, first, last, run_of)
-    integer, intent(in) :: n
-    integer, intent(inout) :: offset(:), first(:), last(:), run_of(:)
+  pure subroutine longest_first(runs)
+    type(runs_t), intent(inout) :: runs
     integer :: place, d
-    do place = 1, min(2, n)
-      d = place - 1 + maxloc(last(place:n) - first(place:n), dim=1)
+    do place = 1, min(2, runs%n)
+      d = place - 1 + maxloc(runs%last(place:runs%n) - runs%first(place:runs%n), dim=1)
       if (d == place) cycle
-      offset([place, d]) = offset([d, place])
-      first([place, d]) = first([d, place])
-      last([place, d]) = last([d, place])
-      where (run_of == place)
-        run_of = d
-      elsewhere (run_of == d)
-        run_of = place
+      runs%offset([place, d]) = runs%offset([d, place])
+      runs%first([place, d]) = runs%first([d, place])
+      runs%last([place, d]) = runs%last([d, place])
+      where (runs%run_of == place)
+        runs%run_of = d
+      elsewhere (runs%run_of == d)
+        runs%run_of = place
       end where
     end do
   end subroutine longest_first

@@ -1,21 +1,22 @@
 !> Node numbers that suit the force kernel, for nets that come in any order.
 !>
 !> The kernel is fastest where cables join node a to node a + a constant (castnet_cable_plan).
-!> So a net of squares gets its lattice back: integer coordinates spread from one mesh
-!> square over the others by two rules. The fourth corner of a square is p + w - r; and
-!> only where no square helps any further (cables are missing), of two cables at a node
-!> that share no square one goes on where the other came from.
-!> Nodes are then numbered row by row. What is no lattice is numbered breadth first, which
-!> at least keeps neighbours close. This is an order only: nothing depends on its being
-!> right but the speed.
+!> So a net of squares, triangles or hexagons, flat or round a hub, gets its lattice back
+!> (castnet_lattice) and is numbered row by row. There are several ways to do so, and what is no lattice
+!> is numbered breadth first, which at least keeps neighbours close: the order that makes the
+!> cheapest sweep is taken. This is an order only: nothing depends on it but the speed.
 module castnet_renumber
   use castnet_kinds, only: wp
+  use castnet_cable_plan, only: sweep_cost
+  use castnet_lattice, only: graph_t, new_graph, find_lattice, find_honeycomb, fill_gaps, close_seam
   use castnet_net, only: net_t
   implicit none
   private
   public :: renumber_net, in_original_order
 
-  integer, parameter :: unknown = huge(1)
+  integer, parameter :: most_cables = 8        !! of a node in a lattice
+  integer, parameter :: all_cables = huge(1)
+  real(wp), parameter :: good_enough = 1.1_wp  !! cost of a sweep per cable that ends the search
 
 contains
 
@@ -27,7 +28,7 @@ contains
     integer, allocatable :: order(:)
     integer :: i
     if (net%n_cable == 0) return
-    call find_order(net%n_node, net%n_cable, net%cable_nodes, order)
+    call find_order(net%n_node, net%cable_nodes(:, :net%n_cable), order)
     if (all(order == [(i, i=1, net%n_node)])) return
     call permute(net, order)
     position = position(order, :)
@@ -79,241 +80,146 @@ contains
   end subroutine permute
 
   !> order(i): which node comes i-th.
-  subroutine find_order(n, m, cable_nodes, order)
-    integer, intent(in) :: n, m
-    integer, intent(in) :: cable_nodes(2, m)
+  subroutine find_order(n, cable_nodes, order)
+    integer, intent(in) :: n
+    integer, intent(in) :: cable_nodes(:, :)
     integer, allocatable, intent(out) :: order(:)
-    integer, allocatable :: start(:), neighbour(:), at(:, :)
-    integer :: placed
-    call build_adjacency(n, m, cable_nodes, start, neighbour)
-    allocate (at(2, n), order(n))
-    call find_lattice(n, start, neighbour, at, placed)
-    if (2*placed >= n) then
-      call row_by_row(n, at, order)
-    else
-      call breadth_first(n, start, neighbour, order)
+    type(graph_t) :: graph
+    integer :: at(2, n), patch(n), base(n), key(2, n), way, i
+    real(wp) :: least
+
+    least = huge(1.0_wp)
+    base = [(i, i=1, n)]
+    order = base
+    call keep_cheaper(base, n, cable_nodes, order, least)
+    if (found()) return
+    call new_graph(n, cable_nodes, all_cables, graph)
+    call breadth_first(graph, base)
+    call new_graph(n, cable_nodes, most_cables, graph)
+    call find_lattice(graph, at, patch)
+    call fill_gaps(graph, .false., at, patch)
+    call close_seam(graph, at, patch)
+    do way = 1, 4
+      select case (way)
+      case (1); key = at
+      case (2); key = at([2, 1], :)
+      case (3); key(1, :) = at(1, :); key(2, :) = at(1, :) + at(2, :)
+      case (4); key(1, :) = at(1, :); key(2, :) = at(1, :) - at(2, :)
+      end select
+      call keep_cheaper(by_rows(base, key, patch), n, cable_nodes, order, least)
+      if (found()) return
+    end do
+    if (2*count(patch > 0) < n) then
+      call new_graph(n, cable_nodes, 3, graph)
+      call find_honeycomb(graph, at, patch)
+      call new_graph(n, cable_nodes, most_cables, graph)
+      call fill_gaps(graph, .true., at, patch)
+      do way = 1, 3          ! rows of zigzags in each of three directions
+        select case (way)
+        case (1); key = at
+        case (2); key(1, :) = at(1, :) + at(2, :); key(2, :) = floor_half(at(1, :) - at(2, :))
+        case (3); key(1, :) = at(1, :) - at(2, :); key(2, :) = floor_half(at(1, :) + at(2, :) + 1)
+        end select
+        call keep_cheaper(by_rows(base, key, patch), n, cable_nodes, order, least)
+      end do
     end if
-  end subroutine find_order
-
-  subroutine build_adjacency(n, m, cable_nodes, start, neighbour)
-    integer, intent(in) :: n, m
-    integer, intent(in) :: cable_nodes(2, m)
-    integer, allocatable, intent(out) :: start(:), neighbour(:)
-    integer, allocatable :: next(:)
-    integer :: c, e, a
-    allocate (start(n + 1), neighbour(2*m))
-    start = 0
-    do c = 1, m
-      do e = 1, 2
-        start(cable_nodes(e, c) + 1) = start(cable_nodes(e, c) + 1) + 1
-      end do
-    end do
-    start(1) = 1
-    do a = 1, n
-      start(a + 1) = start(a + 1) + start(a)
-    end do
-    next = start(:n)
-    do c = 1, m
-      do e = 1, 2
-        a = cable_nodes(e, c)
-        neighbour(next(a)) = cable_nodes(3 - e, c)
-        next(a) = next(a) + 1
-      end do
-    end do
-  end subroutine build_adjacency
-
-  !> Integer coordinates of the nodes of squares; `unknown` elsewhere.
-  subroutine find_lattice(n, start, neighbour, at, placed)
-    integer, intent(in) :: n, start(:), neighbour(:)
-    integer, intent(out) :: at(2, n), placed
-    integer, allocatable :: queue(:)
-    logical, allocatable :: queued(:)
-    integer :: p, k, head, tail, corner(4), ring, before
-    placed = 0
-    at = unknown
-    call first_square(n, start, neighbour, corner)
-    if (corner(1) == 0) return
-    ! A ring buffer: a node comes again when a neighbour has been placed.
-    ring = n + 1
-    allocate (queue(0:ring), queued(n))
-    queued = .false.
-    at(:, corner(1)) = [0, 0]
-    at(:, corner(2)) = [1, 0]
-    at(:, corner(3)) = [1, 1]
-    at(:, corner(4)) = [0, 1]
-    placed = 4
-    queue(0:3) = corner
-    queued(corner) = .true.
-    head = 0
-    tail = 4
-    do
-      do while (head /= tail)
-        p = queue(head)
-        head = modulo(head + 1, ring + 1)
-        queued(p) = .false.
-        do k = start(p), start(p + 1) - 1
-          call try(p, neighbour(k), .false.)
-        end do
-      end do
-      before = placed
-      do p = 1, n
-        if (at(1, p) == unknown) cycle
-        do k = start(p), start(p + 1) - 1
-          call try(p, neighbour(k), .true.)
-        end do
-      end do
-      if (placed == before) exit
-    end do
+    call keep_cheaper(base, n, cable_nodes, order, least)
 
   contains
 
-    !> Place q, a neighbour of the placed node p, if its place is known.
-    subroutine try(p, q, straight)
-      integer, intent(in) :: p, q
-      logical, intent(in) :: straight  !! by the second rule
-      integer :: l, place(2)
-      if (at(1, q) /= unknown) return
-      call place_neighbour(p, q, start, neighbour, at, straight, place)
-      if (place(1) == unknown) return
-      at(:, q) = place
-      placed = placed + 1
-      call enqueue(q)
-      do l = start(q), start(q + 1) - 1
-        if (at(1, neighbour(l)) /= unknown) call enqueue(neighbour(l))
-      end do
-    end subroutine try
+    logical function found()
+      found = least <= good_enough*size(cable_nodes, 2)
+    end function found
 
-    subroutine enqueue(node)
-      integer, intent(in) :: node
-      if (queued(node)) return
-      queued(node) = .true.
-      queue(tail) = node
-      tail = modulo(tail + 1, ring + 1)
-    end subroutine enqueue
+  end subroutine find_order
 
-  end subroutine find_lattice
+  pure elemental integer function floor_half(i)
+    integer, intent(in) :: i
+    floor_half = (i - modulo(i, 2))/2
+  end function floor_half
 
-  !> Coordinates of q, a neighbour of the placed node p; `unknown` if the rule does not speak
-  !> or not clearly.
-  subroutine place_neighbour(p, q, start, neighbour, at, straight, place)
-    integer, intent(in) :: p, q, start(:), neighbour(:), at(:, :)
-    logical, intent(in) :: straight    !! the second rule, else the first
-    integer, intent(out) :: place(2)
-    integer :: k, r, w, n_straight
-    logical :: in_square
-    place = unknown
-    n_straight = 0
-    in_square = .false.
-    do k = start(p), start(p + 1) - 1
-      r = neighbour(k)
-      if (r == q .or. at(1, r) == unknown) cycle
-      w = fourth_corner(p, r, q, start, neighbour, at)
-      if (w > 0) then
-        in_square = .true.
-        if (straight .or. at(1, w) == unknown) cycle
-        place = at(:, p) + at(:, w) - at(:, r)
-      else if (straight) then
-        n_straight = n_straight + 1
-        place = 2*at(:, p) - at(:, r)
-      end if
+  !> Take `other` for the order if its sweep costs less.
+  subroutine keep_cheaper(other, n, cable_nodes, order, least)
+    integer, intent(in) :: n, other(n), cable_nodes(:, :)
+    integer, intent(inout) :: order(n)
+    real(wp), intent(inout) :: least
+    integer :: now(n), i
+    integer, allocatable :: nodes(:, :)
+    real(wp) :: cost
+    do i = 1, n
+      now(other(i)) = i
     end do
-    if (place(1) == unknown) return
-    if (straight) then
-      if (n_straight /= 1 .or. .not. in_square) place = unknown
-      do k = start(p), start(p + 1) - 1
-        if (all(at(:, neighbour(k)) == place)) place = unknown
-      end do
-    end if
-    if (place(1) == unknown) return
-    if (sum(abs(place - at(:, p))) /= 1) place = unknown
-  end subroutine place_neighbour
-
-  !> A node besides p that joins r and q, a placed one if there is one; 0: none.
-  integer function fourth_corner(p, r, q, start, neighbour, at) result(w)
-    integer, intent(in) :: p, r, q, start(:), neighbour(:), at(:, :)
-    integer :: k, l
-    w = 0
-    do k = start(q), start(q + 1) - 1
-      if (neighbour(k) == p) cycle
-      do l = start(r), start(r + 1) - 1
-        if (neighbour(l) /= neighbour(k)) cycle
-        if (w == 0) w = neighbour(k)
-        if (at(1, neighbour(k)) /= unknown) w = neighbour(k)
-      end do
+    allocate (nodes, mold=cable_nodes)
+    do i = 1, size(nodes, 2)
+      nodes(:, i) = now(cable_nodes(:, i))
     end do
-  end function fourth_corner
+    cost = sweep_cost(n, nodes)
+    if (cost >= least) return
+    least = cost
+    order = other
+  end subroutine keep_cheaper
 
-  !> Any four nodes in a square; zeros without one. At most the first few hundred nodes are tried.
-  subroutine first_square(n, start, neighbour, corner)
-    integer, intent(in) :: n, start(:), neighbour(:)
-    integer, intent(out) :: corner(4)
-    integer :: p, k, l, w, none(2, n)
-    none = unknown
-    corner = 0
-    do p = 1, min(n, 500)
-      do k = start(p), start(p + 1) - 1
-        do l = k + 1, start(p + 1) - 1
-          w = fourth_corner(p, neighbour(k), neighbour(l), start, neighbour, none)
-          if (w == 0 .or. w == neighbour(k) .or. w == neighbour(l) .or. neighbour(k) == neighbour(l)) cycle
-          corner = [p, neighbour(k), w, neighbour(l)]
-          return
-        end do
-      end do
-    end do
-  end subroutine first_square
+  !> Nodes by patch, then by row key(2,:), then by key(1,:); ties as in `base`. Those in no patch last.
+  function by_rows(base, key, patch) result(order)
+    integer, intent(in) :: base(:), key(:, :), patch(:)
+    integer :: order(size(base))
+    order = base
+    call sort_by(order, key(1, :), patch)
+    call sort_by(order, key(2, :), patch)
+    call sort_by(order, patch, patch)
+  end function by_rows
 
-  !> Placed nodes by rows, then the others as they came.
-  subroutine row_by_row(n, at, order)
-    integer, intent(in) :: n, at(2, n)
-    integer, intent(out) :: order(n)
-    integer :: first(n), i, c, low, high, k
+  !> Sort by counting; ties keep their order. Nodes in no patch come last.
+  subroutine sort_by(order, key, patch)
+    integer, intent(inout) :: order(:)
+    integer, intent(in) :: key(:), patch(:)
     integer, allocatable :: bucket(:)
-    first = [(i, i=1, n)]
-    ! Counting sorts keep ties in order: by column, then by row, unplaced last.
-    do c = 1, 2
-      low = minval(at(c, :))
-      high = maxval(at(c, :), mask=at(c, :) /= unknown)
-      allocate (bucket(low:high + 2), source=0)
-      do i = 1, n
-        k = min(at(c, first(i)), high + 1)
-        bucket(k + 1) = bucket(k + 1) + 1
-      end do
-      bucket(low) = 1
-      do k = low + 1, high + 2
-        bucket(k) = bucket(k) + bucket(k - 1)
-      end do
-      do i = 1, n
-        k = min(at(c, first(i)), high + 1)
-        order(bucket(k)) = first(i)
-        bucket(k) = bucket(k) + 1
-      end do
-      first = order
-      deallocate (bucket)
+    integer :: before(size(order)), low, high, i, k
+    low = 0
+    high = 0
+    if (any(patch > 0)) then
+      low = minval(key, mask=patch > 0)
+      high = maxval(key, mask=patch > 0)
+    end if
+    allocate (bucket(low:high + 2), source=0)
+    do i = 1, size(order)
+      k = merge(key(i), high + 1, patch(i) > 0)
+      bucket(k + 1) = bucket(k + 1) + 1
     end do
-  end subroutine row_by_row
+    bucket(low) = 1
+    do k = low + 1, high + 2
+      bucket(k) = bucket(k) + bucket(k - 1)
+    end do
+    before = order
+    do i = 1, size(order)
+      k = merge(key(before(i)), high + 1, patch(before(i)) > 0)
+      order(bucket(k)) = before(i)
+      bucket(k) = bucket(k) + 1
+    end do
+  end subroutine sort_by
 
   !> Breadth first from a node of least degree, component by component.
-  subroutine breadth_first(n, start, neighbour, order)
-    integer, intent(in) :: n, start(:), neighbour(:)
-    integer, intent(out) :: order(n)
-    logical :: seen(n)
+  subroutine breadth_first(graph, order)
+    type(graph_t), intent(in) :: graph
+    integer, intent(out) :: order(graph%n)
+    logical :: seen(graph%n)
     integer :: head, tail, i, k, root
     seen = .false.
-    root = minloc(start(2:n + 1) - start(1:n), dim=1)
+    root = minloc(graph%start(2:) - graph%start(:graph%n), dim=1)
     head = 1
     tail = 0
-    do i = 0, n
+    do i = 0, graph%n
       if (i > 0) root = i
       if (seen(root)) cycle
       tail = tail + 1
       order(tail) = root
       seen(root) = .true.
       do while (head <= tail)
-        do k = start(order(head)), start(order(head) + 1) - 1
-          if (seen(neighbour(k))) cycle
+        do k = graph%start(order(head)), graph%start(order(head) + 1) - 1
+          if (seen(graph%neighbour(k))) cycle
           tail = tail + 1
-          order(tail) = neighbour(k)
-          seen(neighbour(k)) = .true.
+          order(tail) = graph%neighbour(k)
+          seen(graph%neighbour(k)) = .true.
         end do
         head = head + 1
       end do

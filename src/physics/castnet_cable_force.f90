@@ -37,6 +37,8 @@ module castnet_cable_force
     real(wp), allocatable :: force(:, :, :) !! (window,3,2) of cable (a, a+offset) [N]
     integer, allocatable :: base(:)         !! (n_diagonal) from the third on, the cable from a is row base + a of
     real(wp), allocatable :: rest(:, :)     !! (:,3) [N]
+    integer, allocatable :: near_from(:)    !! (chunks + 1) where a chunk begins in `near`
+    integer, allocatable :: near(:)         !! further diagonals with cables that begin or end in a chunk, ascending
     integer, allocatable :: loose_from(:)   !! (chunks + 1) where a chunk's nodes begin in the plan's loose_node
     real(wp), allocatable :: other(:, :)    !! (chunk_size,3) scratch: forces on a chunk's nodes besides the full diagonals' [N]
   end type slab_t
@@ -65,6 +67,7 @@ contains
       allocate (slabs(s)%force(rows_before(slabs(s)) + window, 3, n_full), source=0.0_wp)
       allocate (slabs(s)%base(plan%n_diagonal), source=0)
       call find_loose(slabs(s), plan)
+      call find_near(slabs(s), plan)
       rows = 0
       do d = n_full + 1, plan%n_diagonal
         begin = max(plan%first(d), slabs(s)%first - plan%offset(d))
@@ -91,6 +94,48 @@ contains
       slab%loose_from(chunk) = j
     end do
   end subroutine find_loose
+
+  !> Which diagonals besides the full ones matter to each chunk: there may be hundreds.
+  subroutine find_near(slab, plan)
+    type(slab_t), intent(inout) :: slab
+    type(cable_plan_t), intent(in) :: plan
+    integer :: fill, chunk, n_chunk, d, k
+    integer, allocatable :: next(:)
+    n_chunk = (slab%last - slab%first + chunk_size)/chunk_size
+    allocate (slab%near_from(n_chunk + 1), source=0)
+    do fill = 0, 1
+      do d = n_full + 1, plan%n_diagonal
+        k = 0                          ! last chunk that has it
+        call mark(plan%first(d), plan%last(d))
+        call mark(plan%first(d) + plan%offset(d), plan%last(d) + plan%offset(d))
+      end do
+      if (fill == 1) exit
+      slab%near_from(1) = 1
+      do chunk = 1, n_chunk
+        slab%near_from(chunk + 1) = slab%near_from(chunk + 1) + slab%near_from(chunk)
+      end do
+      next = slab%near_from(:n_chunk)
+      allocate (slab%near(slab%near_from(n_chunk + 1) - 1))
+    end do
+
+  contains
+
+    subroutine mark(first, last)
+      integer, intent(in) :: first, last   !! nodes
+      integer :: c
+      if (last < slab%first .or. first > slab%last) return
+      do c = max(k, (max(first, slab%first) - slab%first)/chunk_size), (min(last, slab%last) - slab%first)/chunk_size
+        if (fill == 0) then
+          slab%near_from(c + 2) = slab%near_from(c + 2) + 1
+        else
+          slab%near(next(c + 1)) = d
+          next(c + 1) = next(c + 1) + 1
+        end if
+        k = c + 1
+      end do
+    end subroutine mark
+
+  end subroutine find_near
 
   !> Rows of the window before its first chunk: the reach, in whole cache lines.
   pure integer function rows_before(slab)
@@ -152,11 +197,15 @@ contains
     real(wp), intent(in) :: floor_tension              !! 0 clamps, -huge does not [N]
     real(wp), intent(out) :: power                     !! [W]
     real(wp) :: p(chunk_size), total(lanes)
-    integer :: d, lo, hi, k
+    integer :: d, lo, hi, k, full, chunk, i
 
     total = 0.0_wp
     if (slab%moves) call move_window(slab, begin)
-    do d = 1, plan%n_diagonal
+    full = min(n_full, plan%n_diagonal)
+    chunk = (begin - slab%first)/chunk_size + 1
+    do i = 1, full + slab%near_from(chunk + 1) - slab%near_from(chunk)
+      d = i
+      if (i > full) d = slab%near(slab%near_from(chunk) + i - full - 1)
       lo = max(begin, plan%first(d))
       hi = min(finish, plan%last(d))
       if (d <= n_full .and. slab%moves) then      ! else these rows never were anything but zero
@@ -355,13 +404,13 @@ contains
     real(wp), intent(in) :: loose_force(plan%n_loose, 3)
     real(wp), intent(inout) :: rest(chunk_size, 3) !! [N]
     logical, intent(inout) :: clean
-    integer :: c, d, o, lo, hi
+    integer :: c, d, o, lo, hi, chunk, i
 
     if (.not. clean) rest = 0.0_wp
-    clean = .true.
-    do d = n_full + 1, plan%n_diagonal
-      if (begin > plan%last(d) + plan%offset(d) .or. finish < plan%first(d)) cycle
-      clean = .false.
+    chunk = (begin - slab%first)/chunk_size + 1
+    clean = slab%near_from(chunk) == slab%near_from(chunk + 1)
+    do i = slab%near_from(chunk), slab%near_from(chunk + 1) - 1
+      d = slab%near(i)
       lo = max(begin, plan%first(d))
       hi = min(finish, plan%last(d))
       do c = 1, 3
@@ -374,11 +423,9 @@ contains
         if (hi >= lo) call subtract(hi - lo + 1, slab%rest(slab%base(d) + lo - o, c), rest(lo - begin + 1, c))
       end do
     end do
-    associate (chunk => (begin - slab%first)/chunk_size + 1)
-      if (slab%loose_from(chunk) == slab%loose_from(chunk + 1)) return
-      clean = .false.
-      call add_loose(plan, slab%loose_from(chunk), slab%loose_from(chunk + 1) - 1, begin, loose_force, rest)
-    end associate
+    if (slab%loose_from(chunk) == slab%loose_from(chunk + 1)) return
+    clean = .false.
+    call add_loose(plan, slab%loose_from(chunk), slab%loose_from(chunk + 1) - 1, begin, loose_force, rest)
   end subroutine chunk_rest
 
   !> total = total + away: cables that begin here.
