@@ -2,6 +2,7 @@
 module test_deployment
   use castnet_kinds, only: wp
   use castnet_constants, only: pi
+  use castnet_diagnostics, only: net_centre_of_mass
   use castnet_deployment, only: begin_deployment, observe_deployment, deployment_of, follow_mouth
   use castnet_error, only: error_t
   use castnet_model, only: model_t
@@ -97,10 +98,10 @@ contains
     call build(scene, model, state, work)
     state%node_velocity(:model%net%n_node, 1) = speed
     call begin_deployment(model, state)
-    call observe_deployment(model, state)
+    call observe_deployment(model, state, net_centre_of_mass(model%net, state%node_position))
     do i = 1, 800
       call advance(model, state, work, error)
-      if (modulo(i, 100) == 0) call observe_deployment(model, state)
+      if (modulo(i, 100) == 0) call observe_deployment(model, state, net_centre_of_mass(model%net, state%node_position))
     end do
     found = deployment_of(state%deployment, model%net%flat_area)
     call expect_close(model%net%flat_area, 4.0_wp*6.0_wp*0.25_wp, 'flat area', rtol=1.0e-14_wp)
@@ -114,7 +115,7 @@ contains
     type(model_t) :: model
     type(state_t) :: state
     call begin_deployment(model, state)
-    call observe_deployment(model, state)
+    call observe_deployment(model, state, [0.0_wp, 0.0_wp, 0.0_wp])
     call expect(.not. allocated(state%deployment), 'no net, nothing')
   end subroutine no_mouth
 
@@ -201,11 +202,11 @@ contains
     timed%time%step = step
     call build(timed, model, state, work)
     call begin_deployment(model, state)
-    call observe_deployment(model, state)
+    call observe_deployment(model, state, net_centre_of_mass(model%net, state%node_position))
     n = nint(end_time/step)
     do i = 1, n
       call advance(model, state, work, error)
-      if (modulo(i, n/200) == 0) call observe_deployment(model, state)
+      if (modulo(i, n/200) == 0) call observe_deployment(model, state, net_centre_of_mass(model%net, state%node_position))
     end do
     found = deployment_of(state%deployment, model%net%flat_area)
   end function free_flight

@@ -20,6 +20,7 @@ contains
 
   subroutine run_test_diagnostics()
     call test_case('diagnostics: energies and momenta are the sums over nodes and body', sums_by_hand)
+    call test_case('diagnostics: a row agrees with plain sums over a net of every kind of cable', row_by_hand)
     call test_case('diagnostics: a turning net has angular momentum I w', turning_net)
     call test_case('diagnostics: tension follows the law, clamped or not', tension_law)
     call test_case('diagnostics: a fixed target has no momentum and no energy', fixed_target)
@@ -28,6 +29,78 @@ contains
     call test_case('diagnostics: a scene without net or target has rows too', empty_scene)
     call test_case('diagnostics: a row copies ledger and tally', row_copies)
   end subroutine run_test_diagnostics
+
+  !> 700 nodes, two diagonals of several chunks, one with gaps, and 260 loose cables that run
+  !> either way, a third of them taut: a row against sums in the order of the file, and every
+  !> tension against the law.
+  subroutine row_by_hand()
+    integer, parameter :: n = 700, n_loose = 260
+    type(model_t) :: model
+    type(state_t) :: state
+    type(history_row_t) :: row
+    integer :: nodes(2, 2*n + n_loose), i, m
+    real(wp), allocatable :: tension(:)
+    real(wp) :: kinetic, elastic, largest, p(3), l(3), moment(3), along(3), length, stretch, pull, centre(3), error
+    call build(n, model, state)
+    deallocate (model%target, state%target)
+    m = 0
+    do i = 1, n - 1
+      m = m + 1
+      nodes(:, m) = [i, i + 1]
+    end do
+    do i = 1, n - 26
+      if (modulo(i, 40) < 3) cycle
+      m = m + 1
+      nodes(:, m) = [i + 26, i]
+    end do
+    do i = 1, n_loose
+      m = m + 1
+      nodes(:, m) = [1 + modulo(37*i, n), 1 + modulo(37*i + 101 + modulo(i*i, 211), n)]
+    end do
+    associate (net => model%net)
+      net%n_cable = m
+      net%cable_nodes = nodes(:, :m)
+      net%natural_length = [(0.3_wp + 0.01_wp*modulo(11*i, 37), i=1, m)]
+      net%axial_stiffness = [(300.0_wp + 5.0_wp*modulo(3*i, 29), i=1, m)]
+      net%damping = [(0.1_wp*modulo(i, 7), i=1, m)]
+      call build_cable_plan(net%plan, n, net%cable_nodes, net%axial_stiffness, net%natural_length, net%damping)
+      call expect(net%plan%n_diagonal >= 2 .and. net%plan%n_loose > 128, 'diagonals and loose cables')
+      do i = 1, n
+        state%node_position(i, :) = [0.9_wp*sin(12.9_wp*i), 0.5_wp*sin(7.1_wp*i + 1.0_wp), 0.4_wp*sin(3.7_wp*i + 2.0_wp)]
+        state%node_velocity(i, :) = [3.0_wp*sin(5.3_wp*i), 2.0_wp*sin(1.7_wp*i), -4.0_wp*sin(2.3_wp*i + 1.0_wp)]
+      end do
+      kinetic = 0.0_wp; p = 0.0_wp; l = 0.0_wp; moment = 0.0_wp
+      do i = 1, n
+        kinetic = kinetic + 0.5_wp*net%node_mass(i)*sum(state%node_velocity(i, :)**2)
+        p = p + net%node_mass(i)*state%node_velocity(i, :)
+        l = l + net%node_mass(i)*times(state%node_position(i, :), state%node_velocity(i, :))
+        moment = moment + net%node_mass(i)*state%node_position(i, :)
+      end do
+      allocate (tension(m))
+      call cable_tensions(net, state%node_position, state%node_velocity, tension)
+      elastic = 0.0_wp; largest = 0.0_wp; error = 0.0_wp
+      do i = 1, m
+        along = state%node_position(nodes(2, i), :) - state%node_position(nodes(1, i), :)
+        length = norm2(along)
+        stretch = max(0.0_wp, length - net%natural_length(i))
+        pull = 0.0_wp
+        if (stretch > 0.0_wp) pull = net%axial_stiffness(i)/net%natural_length(i)*stretch + net%damping(i)* &
+          dot_product(along, state%node_velocity(nodes(2, i), :) - state%node_velocity(nodes(1, i), :))/length
+        if (net%clamp_tension) pull = max(0.0_wp, pull)
+        elastic = elastic + 0.5_wp*net%axial_stiffness(i)/net%natural_length(i)*stretch**2
+        largest = max(largest, pull)
+        error = max(error, abs(tension(i) - pull))
+      end do
+      row = record_history(model, state, centre)
+      call expect_close(row%kinetic_net, kinetic, 'kinetic', rtol=1.0e-13_wp)
+      call expect_close(row%elastic, elastic, 'elastic', rtol=1.0e-13_wp)
+      call expect_close(row%max_tension, largest, 'largest tension', rtol=1.0e-13_wp)
+      call expect_close(error, 0.0_wp, 'tensions', atol=1.0e-13_wp*largest)
+      call expect_close(row%linear_momentum, p, 'momentum', atol=1.0e-13_wp*kinetic)
+      call expect_close(row%angular_momentum, l, 'angular momentum', atol=1.0e-13_wp*kinetic)
+      call expect_close(centre, moment/sum(net%node_mass), 'centre of mass', atol=1.0e-13_wp)
+    end associate
+  end subroutine row_by_hand
 
   !> n nodes along a crooked line, cables between neighbours, a target beside them.
   subroutine build(n, model, state)

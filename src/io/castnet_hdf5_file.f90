@@ -21,18 +21,18 @@ module castnet_hdf5_file
                   h5t_native_double, h5t_native_real, h5t_native_integer, h5t_std_i32le, &
                   h5t_std_i64le, h5t_ieee_f64le, h5t_ieee_f32le, h5f_acc_trunc_f, h5f_acc_rdonly_f, h5f_acc_rdwr_f, &
                   h5f_scope_local_f, h5s_scalar_f, h5pcreate_f, h5pclose_f, h5p_file_access_f, h5p_dataset_xfer_f, &
-                  h5pset_buffer_f, h5pset_cache_f, h5kind_to_type, h5_integer_kind
+                  h5pset_buffer_f, h5pset_btree_ratios_f, h5pset_cache_f, h5kind_to_type, h5_integer_kind
   use h5ds, only: h5dsset_scale_f
   use castnet_kinds, only: wp, sp, i4, i8
   use castnet_error, only: error_t, fail, exit_file
   use castnet_posix, only: clear_system_error, system_error, system_words, is_disk_full, default_environment
   implicit none
   private
-  public :: hdf5_file_t, location_t, check, joined
+  public :: hdf5_file_t, location_t, check, joined, transfer_plan, keep_open, let_go
   public :: start_hdf5, create_hdf5, open_hdf5, flush_file, close_file, file_bytes, is_hdf5
   public :: make_group, open_group, close_group, empty_group, has_entry
   public :: write_text, write_short_text, write_value, write_array, set_attribute, set_fixed_text, make_scale, attach_scales
-  public :: kind_double, kind_single, kind_integer, kind_long, memory_type, file_type, value_bytes
+  public :: most_rank, kind_double, kind_single, kind_integer, kind_long, memory_type, file_type, value_bytes
 
   integer, parameter :: kind_double = 1, kind_single = 2, kind_integer = 3, kind_long = 4
 
@@ -42,6 +42,8 @@ module castnet_hdf5_file
 
   !> Bytes of a text that may change while others read the file.
   integer, parameter :: short_text = 32
+
+  integer, parameter :: most_rank = 4             !! of a series
 
   !> A place in a file: the file itself or a group.
   type :: location_t
@@ -71,6 +73,14 @@ module castnet_hdf5_file
     type(scale_t), allocatable :: scales(:)     !! the first n_scale
     type(use_of_scale_t), allocatable :: uses(:) !! the first n_use
     integer :: n_scale = 0, n_use = 0
+    integer(hid_t) :: transfer = -1             !! plan of all writing
+    integer(hid_t) :: series_plan = -1          !! plan of the series that was made last
+    integer :: series_kind = 0                  !! its kind
+    integer(hsize_t) :: series_chunk(most_rank) = 0 !! and chunk, 0 behind its rank
+    integer(hid_t) :: text = -1                 !! type of a text of variable length
+    integer(hid_t) :: recent = -1               !! dataset that was made last, still open
+    character(len=:), allocatable :: recent_name !! path from the root
+    logical :: recent_is_ours = .false.         !! to be closed here
   end type hdf5_file_t
 
   interface
@@ -224,6 +234,7 @@ contains
     type(hdf5_file_t), intent(inout) :: file
     type(error_t), allocatable, intent(inout) :: error
     integer :: status
+    call let_go(file)
     call tell_scales(file, error)
     if (file%broken .or. .not. file%is_open) return
     call clear_system_error()
@@ -237,9 +248,16 @@ contains
     type(error_t), allocatable, intent(inout) :: error
     integer :: status
     if (.not. file%is_open) return
+    call let_go(file)
     call tell_scales(file, error)
     file%is_open = .false.
     if (file%broken) return
+    if (file%transfer >= 0) call h5pclose_f(file%transfer, status)
+    if (file%text >= 0) call h5tclose_f(file%text, status)
+    if (file%series_plan >= 0) call h5pclose_f(file%series_plan, status)
+    file%transfer = -1
+    file%text = -1
+    file%series_plan = -1
     call clear_system_error()
     call h5fclose_f(file%root%id, status)
     call check(file, status, 'close the file', '', error)
@@ -311,6 +329,7 @@ contains
     character(len=256) :: name
     integer :: status, kind, n_link, largest, i
     if (file%broken) return
+    call let_go(file)
     call h5gget_info_f(group%id, kind, n_link, largest, status)
     do i = 1, n_link
       if (status >= 0) call h5lget_name_by_idx_f(group%id, '.', h5_index_name_f, h5_iter_inc_f, 0_hsize_t, name, status)
@@ -384,7 +403,7 @@ contains
     type(c_ptr), intent(in) :: buffer
     character(len=*), intent(in), optional :: units
     type(error_t), allocatable, intent(inout) :: error
-    integer(hid_t) :: space, dataset, transfer_plan
+    integer(hid_t) :: space, dataset
     integer :: status, ignored
     if (file%broken) return
     call clear_system_error()
@@ -393,19 +412,74 @@ contains
     else
       call h5screate_simple_f(size(shape), shape, space, status)
     end if
-    if (status >= 0) call h5pcreate_f(h5p_dataset_xfer_f, transfer_plan, status)
-    if (status >= 0) call h5pset_buffer_f(transfer_plan, conversion_buffer, status)
     if (status >= 0) call h5dcreate_f(parent%id, name, stored, space, dataset, status)
     call check(file, status, 'create', joined(parent, name), error)
     if (status < 0) return
-    call h5dwrite_f(dataset, memory, buffer, status, xfer_prp=transfer_plan)
+    call keep_open(file, dataset, joined(parent, name), .true.)
+    call h5dwrite_f(dataset, memory, buffer, status, xfer_prp=transfer_plan(file))
     call check(file, status, 'write', joined(parent, name), error)
     if (present(units)) call set_text(file, dataset, 'units', units, error)
     if (file%broken) return
-    call h5pclose_f(transfer_plan, ignored)
-    call h5dclose_f(dataset, ignored)
     call h5sclose_f(space, ignored)
   end subroutine put
+
+  !> How values go to the file, one plan for all: to make one costs as much as to write a
+  !> number. A full node of the tree of chunks keeps all that it can when it is split: what
+  !> moves out of it is out of sight of who reads the file with the old tree in mind.
+  integer(hid_t) function transfer_plan(file)
+    type(hdf5_file_t), intent(inout) :: file
+    integer :: status
+    if (file%transfer < 0) then
+      call h5pcreate_f(h5p_dataset_xfer_f, file%transfer, status)
+      if (status >= 0) call h5pset_buffer_f(file%transfer, conversion_buffer, status)
+      if (status >= 0) call h5pset_btree_ratios_f(file%transfer, 0.1, 0.5, 1.0, status)
+    end if
+    transfer_plan = file%transfer
+  end function transfer_plan
+
+  !> The dataset that was made last stays open: its dimensions are named next, and to open it
+  !> again costs half as much as to make it.
+  subroutine keep_open(file, dataset, name, ours)
+    type(hdf5_file_t), intent(inout) :: file
+    integer(hid_t), intent(in) :: dataset
+    character(len=*), intent(in) :: name     !! path from the root
+    logical, intent(in) :: ours              !! nobody else closes it
+    call let_go(file)
+    file%recent = dataset
+    file%recent_name = name
+    file%recent_is_ours = ours
+  end subroutine keep_open
+
+  !> Close the dataset that was made last.
+  subroutine let_go(file)
+    type(hdf5_file_t), intent(inout) :: file
+    integer :: ignored
+    if (file%recent >= 0 .and. file%recent_is_ours .and. .not. file%broken) call h5dclose_f(file%recent, ignored)
+    file%recent = -1
+  end subroutine let_go
+
+  !> Open a dataset, or take the one that is open.
+  subroutine open_dataset(file, parent, name, dataset, status)
+    type(hdf5_file_t), intent(in) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name
+    integer(hid_t), intent(out) :: dataset
+    integer, intent(out) :: status
+    status = 0
+    dataset = file%recent
+    if (file%recent >= 0) then
+      if (file%recent_name == joined(parent, name)) return
+    end if
+    call h5dopen_f(parent%id, name, dataset, status)
+  end subroutine open_dataset
+
+  !> Close it unless it stays open.
+  subroutine close_dataset(file, dataset)
+    type(hdf5_file_t), intent(in) :: file
+    integer(hid_t), intent(in) :: dataset
+    integer :: ignored
+    if (dataset /= file%recent) call h5dclose_f(dataset, ignored)
+  end subroutine close_dataset
 
   !> A text of any length (attributes end at 64 KB, datasets do not), UTF-8.
   subroutine write_text(file, parent, name, text, error)
@@ -419,9 +493,8 @@ contains
     if (file%broken) return
     buffer = text//c_null_char
     pointer_to_text = c_loc(buffer)
-    text_type = new_text_type()
+    text_type = text_type_of(file)
     call put(file, parent, name, text_type, text_type, [integer(hsize_t) ::], c_loc(pointer_to_text), error=error)
-    call free_type(text_type)
   end subroutine write_text
 
   !> A text of at most 32 bytes, new or in the place of the one before: others may read the
@@ -461,11 +534,15 @@ contains
   end function fixed_text_type
 
   !> Type of a text of variable length.
-  integer(hid_t) function new_text_type()
+  integer(hid_t) function text_type_of(file)
+    type(hdf5_file_t), intent(inout) :: file
     integer :: status
-    call h5tcopy_f(h5t_string, new_text_type, status)
-    call h5tset_cset_f(new_text_type, h5t_cset_utf8_f, status)
-  end function new_text_type
+    if (file%text < 0) then
+      call h5tcopy_f(h5t_string, file%text, status)
+      call h5tset_cset_f(file%text, h5t_cset_utf8_f, status)
+    end if
+    text_type_of = file%text
+  end function text_type_of
 
   subroutine free_type(id)
     integer(hid_t), intent(in) :: id
@@ -490,9 +567,8 @@ contains
       buffer(i) = trim(texts(i))//c_null_char
       pointers(i) = c_loc(buffer(i))
     end do
-    text_type = new_text_type()
+    text_type = text_type_of(file)
     call put(file, parent, name, text_type, text_type, [size(texts, kind=hsize_t)], c_loc(pointers), error=error)
-    call free_type(text_type)
   end subroutine write_texts
 
   subroutine write_double(file, parent, name, value, units, error)
@@ -633,9 +709,8 @@ contains
     if (file%broken) return
     buffer = text//c_null_char
     pointer_to_text = c_loc(buffer)
-    text_type = new_text_type()
+    text_type = text_type_of(file)
     call put_attribute(file, object, name, text_type, text_type, [integer(hsize_t) ::], c_loc(pointer_to_text), error)
-    call free_type(text_type)
   end subroutine set_text
 
   !> A text attribute of fixed length, ASCII, as VTK wants its `Type`.
@@ -691,11 +766,11 @@ contains
     integer(hid_t) :: id
     integer :: status
     if (file%broken) return
-    call h5dopen_f(parent%id, dataset, id, status)
+    call open_dataset(file, parent, dataset, id, status)
     call check(file, status, 'open', joined(parent, dataset), error)
     if (status < 0) return
     call set_text(file, id, name, text, error)
-    if (.not. file%broken) call h5dclose_f(id, status)
+    if (.not. file%broken) call close_dataset(file, id)
   end subroutine set_text_of
 
   !> Make a one-dimensional dataset the scale of a dimension of its own name.
@@ -708,13 +783,13 @@ contains
     integer :: status
     type(scale_t) :: scale
     if (file%broken) return
-    call h5dopen_f(parent%id, name, id, status)
+    call open_dataset(file, parent, name, id, status)
     if (status >= 0) call h5dsset_scale_f(id, status, name)
     call check(file, status, 'make a dimension scale of', joined(parent, name), error)
     if (status < 0) return
     scale%name = joined(parent, name)
     scale%reference = castnet_reference(id)
-    call h5dclose_f(id, status)
+    call close_dataset(file, id)
     if (len(joined(parent, name)) > longest_scale) return
     if (.not. allocated(file%scales)) allocate (file%scales(8))
     if (file%n_scale == size(file%scales)) file%scales = [file%scales, file%scales]
@@ -733,10 +808,10 @@ contains
     type(use_of_scale_t) :: one
     integer(i8) :: reference(size(scales))
     integer(hid_t) :: id
-    integer :: status, ignored, i, n
+    integer :: status, i, n
     if (file%broken) return
     n = size(scales)
-    call h5dopen_f(parent%id, dataset, id, status)
+    call open_dataset(file, parent, dataset, id, status)
     call check(file, status, 'open', joined(parent, dataset), error)
     if (status < 0) return
     do i = 1, n
@@ -748,7 +823,7 @@ contains
     call check(file, status, 'name the dimensions of', joined(parent, dataset), error)
     if (status < 0) return
     one%dataset = castnet_reference(id)
-    call h5dclose_f(id, ignored)
+    call close_dataset(file, id)
     if (.not. allocated(file%uses)) allocate (file%uses(64))
     do i = 1, n
       one%scale = reference(i)

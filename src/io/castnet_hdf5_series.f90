@@ -7,24 +7,22 @@ module castnet_hdf5_series
   use hdf5, only: hid_t, hsize_t, h5screate_simple_f, h5sclose_f, h5sselect_hyperslab_f, h5pcreate_f, h5pset_chunk_f, &
                   h5pset_fill_value_f, h5pget_chunk_f, h5pclose_f, h5dcreate_f, h5dopen_f, h5dclose_f, h5dwrite_f, &
                   h5dset_extent_f, h5dget_space_f, h5dget_create_plist_f, h5sget_simple_extent_ndims_f, &
-                  h5sget_simple_extent_dims_f, h5s_unlimited_f, h5s_select_set_f, h5p_dataset_create_f, h5p_dataset_xfer_f, &
-                  h5pset_btree_ratios_f
+                  h5sget_simple_extent_dims_f, h5s_unlimited_f, h5s_select_set_f, h5p_dataset_create_f
   use castnet_kinds, only: wp, sp, i8
   use castnet_error, only: error_t, fail, exit_file
-  use castnet_hdf5_file, only: hdf5_file_t, location_t, check, joined, set_attribute, kind_double, kind_single, &
-                               kind_long, memory_type, file_type, value_bytes
+  use castnet_hdf5_file, only: hdf5_file_t, location_t, check, joined, transfer_plan, keep_open, let_go, set_attribute, &
+                               most_rank, kind_double, kind_single, kind_long, memory_type, file_type, value_bytes
   use castnet_posix, only: clear_system_error
   implicit none
   private
   public :: series_t, create_series, open_series, append_frames, hold_frames, write_held, truncate_series, close_series, &
             growth_bytes
 
-  integer, parameter :: most_rank = 4
-
   !> Chunks of small frames hold about this much, of large ones at most the second [bytes]:
-  !> an almost empty file stays small, a long one reads fast.
-  integer(i8), parameter :: small_chunk = 8192_i8, large_chunk = 4194304_i8
-  integer(i8), parameter :: most_frames_per_chunk = 256_i8
+  !> an almost empty file stays small, a long one reads fast. Where it is known how many frames
+  !> come, chunks hold about the third: HDF5 takes as long for a chunk as for the copy of 64 KiB.
+  integer(i8), parameter :: small_chunk = 8192_i8, large_chunk = 4194304_i8, known_chunk = 65536_i8
+  integer(i8), parameter :: most_frames_per_chunk = 256_i8, most_expected = 1024_i8
 
   type :: series_t
     character(len=:), allocatable :: name       !! with its groups, for messages
@@ -36,6 +34,7 @@ module castnet_hdf5_series
     integer(i8) :: held = 0                     !! and in memory
     integer(c_int8_t), allocatable :: bytes(:)  !! their values; room for more
     integer(i8) :: held_bytes = 0
+    integer(i8) :: room = 65536                 !! bytes to begin with
     integer(i8) :: frames_per_chunk = 1
     integer(i8) :: block_bytes = 0              !! of all chunks side by side that hold a block of frames
     integer :: block_chunks = 1                 !! how many they are
@@ -54,7 +53,7 @@ module castnet_hdf5_series
 contains
 
   !> Create an empty series. Values that are never written read as NaN (reals) or 0.
-  subroutine create_series(file, parent, name, kind, frame, units, series, error, together)
+  subroutine create_series(file, parent, name, kind, frame, units, series, error, together, expected)
     type(hdf5_file_t), intent(inout) :: file
     type(location_t), intent(in) :: parent
     character(len=*), intent(in) :: name, units     !! no units attribute when blank
@@ -63,25 +62,50 @@ contains
     type(series_t), intent(out) :: series
     type(error_t), allocatable, intent(inout) :: error
     integer, intent(in), optional :: together       !! frames that are always appended together
+    integer(i8), intent(in), optional :: expected   !! frames that will come, about
     integer(hsize_t) :: chunk(most_rank), extent(most_rank), most(most_rank)
     integer(hid_t) :: space, plan
     integer :: status, ignored
-    real(wp), target :: nan_double
-    real(sp), target :: nan_single
     if (file%broken) return
     call clear_system_error()
     series%name = joined(parent, name)
     series%kind = kind
     series%rank = size(frame) + 1
     series%shape(1:size(frame)) = frame
-    call choose_chunk(series, chunk, together)
+    call choose_chunk(series, chunk, together, expected)
     extent = series%shape
     extent(series%rank) = 0
     most = series%shape
     most(series%rank) = h5s_unlimited_f
     call h5screate_simple_f(series%rank, extent(1:series%rank), space, status, most(1:series%rank))
-    if (status >= 0) call h5pcreate_f(h5p_dataset_create_f, plan, status)
-    if (status >= 0) call h5pset_chunk_f(plan, series%rank, chunk(1:series%rank), status)
+    if (status >= 0) call creation_plan(file, kind, chunk(1:series%rank), plan, status)
+    if (status >= 0) call h5dcreate_f(parent%id, name, file_type(kind), space, series%id, status, plan)
+    call check(file, status, 'create', series%name, error)
+    if (status < 0) return
+    call keep_open(file, series%id, series%name, .false.)
+    call h5sclose_f(space, ignored)
+    if (len_trim(units) > 0) call set_attribute(file, series%id, 'units', units, error)
+  end subroutine create_series
+
+  !> The plan of a series: chunks and fill value. Kept for the next of the same kind, as the
+  !> columns of a table are.
+  subroutine creation_plan(file, kind, chunk, plan, status)
+    type(hdf5_file_t), intent(inout) :: file
+    integer, intent(in) :: kind
+    integer(hsize_t), intent(in) :: chunk(:)
+    integer(hid_t), intent(out) :: plan
+    integer, intent(out) :: status
+    real(wp), target :: nan_double
+    real(sp), target :: nan_single
+    integer(hsize_t) :: padded(most_rank)
+    padded = 0
+    padded(:size(chunk)) = chunk
+    plan = file%series_plan
+    status = 0
+    if (plan >= 0 .and. file%series_kind == kind .and. all(file%series_chunk == padded)) return
+    if (plan >= 0) call h5pclose_f(plan, status)
+    call h5pcreate_f(h5p_dataset_create_f, plan, status)
+    if (status >= 0) call h5pset_chunk_f(plan, size(chunk), chunk, status)
     if (status >= 0 .and. kind == kind_double) then
       nan_double = ieee_value(nan_double, ieee_quiet_nan)
       call h5pset_fill_value_f(plan, memory_type(kind), c_loc(nan_double), status)
@@ -89,25 +113,27 @@ contains
       nan_single = ieee_value(nan_single, ieee_quiet_nan)
       call h5pset_fill_value_f(plan, memory_type(kind), c_loc(nan_single), status)
     end if
-    if (status >= 0) call h5dcreate_f(parent%id, name, file_type(kind), space, series%id, status, plan)
-    call check(file, status, 'create', series%name, error)
-    if (status < 0) return
-    call h5pclose_f(plan, ignored)
-    call h5sclose_f(space, ignored)
-    if (len_trim(units) > 0) call set_attribute(file, series%id, 'units', units, error)
-  end subroutine create_series
+    file%series_plan = plan
+    file%series_kind = kind
+    file%series_chunk = padded
+  end subroutine creation_plan
 
   !> A frame in a chunk; many if the frame is small, a part of it if it is large.
-  subroutine choose_chunk(series, chunk, together)
+  subroutine choose_chunk(series, chunk, together, expected)
     type(series_t), intent(inout) :: series
     integer(hsize_t), intent(out) :: chunk(:)
     integer, intent(in), optional :: together
+    integer(i8), intent(in), optional :: expected
     integer(i8) :: bytes
     integer :: longest
     chunk = 1
     chunk(1:series%rank - 1) = series%shape(1:series%rank - 1)
     bytes = max(1_i8, product(chunk(1:series%rank - 1))*value_bytes(series%kind))
     series%frames_per_chunk = max(1_i8, min(most_frames_per_chunk, small_chunk/bytes))
+    if (present(expected)) then
+      series%frames_per_chunk = max(series%frames_per_chunk, min(expected, most_expected, known_chunk/bytes))
+      series%room = min(expected*bytes, large_chunk)
+    end if
     if (present(together)) &
       series%frames_per_chunk = max(series%frames_per_chunk, min(int(together, i8), large_chunk/bytes))
     chunk(series%rank) = series%frames_per_chunk
@@ -219,7 +245,7 @@ contains
     type(error_t), allocatable, intent(inout) :: error
     integer(hsize_t) :: extent(most_rank), start(most_rank), count(most_rank)
     integer(i8) :: frame
-    integer(hid_t) :: space, memory, plan
+    integer(hid_t) :: space, memory
     integer :: status, ignored, r
     if (file%broken .or. n_value == 0) return
     r = series%rank
@@ -240,15 +266,10 @@ contains
     if (status >= 0) call h5dget_space_f(series%id, space, status)
     if (status >= 0) call h5sselect_hyperslab_f(space, h5s_select_set_f, start(1:r), count(1:r), status)
     if (status >= 0) call h5screate_simple_f(r, count(1:r), memory, status)
-    if (status >= 0) call h5pcreate_f(h5p_dataset_xfer_f, plan, status)
-    ! A full node of the tree of chunks keeps all that it can when it is split: what moves
-    ! out of it is out of sight of who reads the file with the old tree in mind.
-    if (status >= 0) call h5pset_btree_ratios_f(plan, 0.1, 0.5, 1.0, status)
-    if (status >= 0) call h5dwrite_f(series%id, memory_type(kind), buffer, status, memory, space, plan)
+    if (status >= 0) call h5dwrite_f(series%id, memory_type(kind), buffer, status, memory, space, transfer_plan(file))
     call check(file, status, 'append to', series%name, error)
     if (status < 0) return
     series%length = extent(r)
-    call h5pclose_f(plan, ignored)
     call h5sclose_f(memory, ignored)
     call h5sclose_f(space, ignored)
   end subroutine append
@@ -285,7 +306,7 @@ contains
     integer(i8), intent(in) :: n_value
     type(c_ptr), intent(in) :: buffer
     type(error_t), allocatable, intent(inout) :: error
-    integer(c_int8_t), pointer :: given(:)
+    integer(c_int8_t), pointer, contiguous :: given(:)
     integer(c_int8_t), allocatable :: larger(:)
     integer(i8) :: n, frame
     if (file%broken .or. n_value == 0) return
@@ -296,7 +317,7 @@ contains
       return
     end if
     n = n_value*value_bytes(kind)
-    if (.not. allocated(series%bytes)) allocate (series%bytes(n))
+    if (.not. allocated(series%bytes)) allocate (series%bytes(max(n, series%room)))
     if (series%held_bytes + n > size(series%bytes, kind=i8)) then
       allocate (larger(2*(series%held_bytes + n)))
       larger(:series%held_bytes) = series%bytes(:series%held_bytes)
@@ -342,6 +363,7 @@ contains
     type(series_t), intent(inout) :: series
     integer :: status
     if (file%broken .or. series%id < 0) return
+    if (file%recent == series%id) call let_go(file)
     call h5dclose_f(series%id, status)
     series%id = -1
   end subroutine close_series

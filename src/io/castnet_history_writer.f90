@@ -43,8 +43,8 @@ module castnet_history_writer
     private
     type(series_t) :: reals(n_real), counts(n_count)
     integer :: waiting = 0
-    real(wp) :: value(n_value, block) = 0.0_wp
-    integer(i8) :: count(n_count, block) = 0
+    real(wp), allocatable :: value(:, :)        !! (n_value, block)
+    integer(i8), allocatable :: count(:, :)     !! (n_count, block)
   end type history_writer_t
 
 contains
@@ -65,22 +65,24 @@ contains
   end function row_counts
 
   !> Create the group and its empty columns. The root must hold the scale `xyz`.
-  subroutine create_history(history, file, error)
+  subroutine create_history(history, file, expected, error)
     type(history_writer_t), intent(out) :: history
     type(hdf5_file_t), intent(inout) :: file
+    integer(i8), intent(in) :: expected         !! rows that will come, about
     type(error_t), allocatable, intent(inout) :: error
     type(location_t) :: group
     type(column_t) :: column
     integer :: i
+    call make_room(history)
     call make_group(file, file%root, 'history', group, error)
     do i = 1, n_real
       column = real_columns(i)
       if (column%width == 1) then
         call create_series(file, group, trim(column%name), kind_double, [integer ::], trim(column%units), &
-                           history%reals(i), error)
+                           history%reals(i), error, expected=expected)
       else
         call create_series(file, group, trim(column%name), kind_double, [column%width], trim(column%units), &
-                           history%reals(i), error)
+                           history%reals(i), error, expected=expected)
       end if
       if (i == 1) then
         call make_scale(file, group, 'time', error)
@@ -92,7 +94,7 @@ contains
     end do
     do i = 1, n_count
       call create_series(file, group, trim(count_columns(i)%name), kind_long, [integer ::], trim(count_columns(i)%units), &
-                         history%counts(i), error)
+                         history%counts(i), error, expected=expected)
       call attach_scales(file, group, trim(count_columns(i)%name), ['time'], error)
     end do
     call close_group(file, group)
@@ -106,6 +108,7 @@ contains
     type(error_t), allocatable, intent(inout) :: error
     type(location_t) :: group
     integer :: i
+    call make_room(history)
     call open_group(file, file%root, 'history', group, error)
     do i = 1, n_real
       call open_series(file, group, trim(real_columns(i)%name), kind_double, history%reals(i), error)
@@ -117,6 +120,12 @@ contains
     end do
     call close_group(file, group)
   end subroutine reopen_history
+
+  !> Memory for the rows that wait; what is not used is not touched.
+  subroutine make_room(history)
+    type(history_writer_t), intent(inout) :: history
+    allocate (history%value(n_value, block), history%count(n_count, block))
+  end subroutine make_room
 
   !> Keep a row until the next write; there must be room (`is_block_full`).
   subroutine store_row(history, row)

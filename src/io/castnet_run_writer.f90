@@ -95,9 +95,9 @@ contains
     call create_hdf5(writer%file, path//'.tmp', error)
     if (allocated(error)) return
     call write_dimensions(writer, error)
-    call create_frames(writer, error)
+    call create_frames(writer, info%expected_frames - info%schedule%frames, error)
     allocate (writer%history)
-    call create_history(writer%history, writer%file, error)
+    call create_history(writer%history, writer%file, info%expected_rows - info%schedule%rows, error)
     call write_static(writer%file, model, writer%surface, error)
     call prepare_summary(writer%file, error)
     call write_meta(writer%file, scene_text, effective_text, model, info, writer%session, error)
@@ -247,8 +247,9 @@ contains
   end subroutine write_dimensions
 
   !> The empty series of the root with their dimensions named.
-  subroutine create_frames(writer, error)
+  subroutine create_frames(writer, expected, error)
     type(run_writer_t), intent(inout) :: writer
+    integer(i8), intent(in) :: expected             !! frames that will come, about
     type(error_t), allocatable, intent(inout) :: error
     integer :: i
     do i = 1, n_series
@@ -277,7 +278,7 @@ contains
     subroutine create(k, frame)
       integer, intent(in) :: k, frame(:)
       call create_series(writer%file, writer%file%root, trim(series_name(k)), kind_double, frame, trim(series_units(k)), &
-                         writer%series(k), error)
+                         writer%series(k), error, expected=expected)
     end subroutine create
 
     subroutine name_dimensions(k, names)

@@ -16,7 +16,8 @@ module castnet_cable_force
   use castnet_cable_plan, only: cable_plan_t
   implicit none
   private
-  public :: slab_t, chunk_size, new_slabs, slab_halo, chunk_cables, chunk_rest, loose_cables, sum_in_order, survey_cables
+  public :: slab_t, chunk_size, new_slabs, slab_halo, chunk_cables, chunk_rest, loose_cables, sum_in_order, survey_cables, &
+            slot_tensions
 
   integer, parameter :: chunk_size = 128  !! nodes; all of a chunk's data stay in the first cache
   integer, parameter :: lanes = 8         !! partial sums of a fixed-order sum
@@ -318,21 +319,20 @@ contains
   end subroutine loose_cables
 
   !> Elastic energy of all cables, sum of k (l - l0)**2/2 over the taut ones, and the
-  !> largest tension, in one pass along the plan. Sums in lanes, in slot order.
-  pure subroutine survey_cables(plan, n_pad, x, v, floor_tension, elastic, largest)
+  !> largest tension, in one pass along the plan. A sum for each place in a chunk, folded at
+  !> the end: no cable waits for the one before, and the order is the same in every build.
+  pure subroutine survey_cables(plan, n_pad, x, v, elastic, largest)
     type(cable_plan_t), intent(in) :: plan
     integer, intent(in) :: n_pad
     real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)  !! [m], [m/s]
-    real(wp), intent(in) :: floor_tension             !! 0 clamps, -huge does not [N]
     real(wp), intent(out) :: elastic                  !! [J]
     real(wp), intent(out) :: largest                  !! 0 when every cable is slack [N]
-    real(wp) :: ax(chunk_size), ay(chunk_size), az(chunk_size), bx(chunk_size), by(chunk_size), bz(chunk_size)
-    real(wp) :: au(chunk_size), av(chunk_size), aw(chunk_size), bu(chunk_size), bv(chunk_size), bw(chunk_size)
-    real(wp) :: total(lanes), most(lanes)
-    integer :: d, a, b, m, k, slot
+    real(wp) :: ends(chunk_size, 12), twice(chunk_size), moment(chunk_size), length(chunk_size)
+    integer :: d, a, b, m, slot, n
 
-    total = 0.0_wp
-    most = 0.0_wp
+    twice = 0.0_wp
+    moment = 0.0_wp
+    length = 1.0_wp
     do d = 1, plan%n_diagonal
       do a = plan%first(d), plan%last(d), chunk_size
         m = min(chunk_size, plan%last(d) - a + 1)
@@ -340,59 +340,134 @@ contains
         slot = plan%start(d) + a - plan%first(d)
         call survey_chunk(m, x(a, 1), x(a, 2), x(a, 3), x(b, 1), x(b, 2), x(b, 3), &
                           v(a, 1), v(a, 2), v(a, 3), v(b, 1), v(b, 2), v(b, 3), &
-                          plan%stiffness(slot), plan%natural_length(slot), plan%damping(slot), floor_tension, total, most)
+                          plan%stiffness(slot), plan%natural_length(slot), plan%damping(slot), twice, moment, length)
       end do
     end do
-    do slot = 1, plan%n_loose, chunk_size
-      m = min(chunk_size, plan%n_loose - slot + 1)
-      do k = 1, m
-        a = plan%loose_a(slot + k - 1)
-        b = plan%loose_b(slot + k - 1)
-        ax(k) = x(a, 1); ay(k) = x(a, 2); az(k) = x(a, 3)
-        bx(k) = x(b, 1); by(k) = x(b, 2); bz(k) = x(b, 3)
-        au(k) = v(a, 1); av(k) = v(a, 2); aw(k) = v(a, 3)
-        bu(k) = v(b, 1); bv(k) = v(b, 2); bw(k) = v(b, 3)
-      end do
-      k = plan%loose_start + slot - 1
-      call survey_chunk(m, ax, ay, az, bx, by, bz, au, av, aw, bu, bv, bw, &
-                        plan%stiffness(k), plan%natural_length(k), plan%damping(k), floor_tension, total, most)
+    do a = 1, plan%n_loose, chunk_size
+      m = min(chunk_size, plan%n_loose - a + 1)
+      slot = plan%loose_start + a - 1
+      call gather_ends(plan, a, m, n_pad, x, v, ends)
+      call survey_chunk(m, ends(1, 1), ends(1, 2), ends(1, 3), ends(1, 4), ends(1, 5), ends(1, 6), &
+                        ends(1, 7), ends(1, 8), ends(1, 9), ends(1, 10), ends(1, 11), ends(1, 12), &
+                        plan%stiffness(slot), plan%natural_length(slot), plan%damping(slot), twice, moment, length)
     end do
-    elastic = 0.5_wp*(((total(1) + total(5)) + (total(2) + total(6))) + ((total(3) + total(7)) + (total(4) + total(8))))
-    largest = maxval(most)
+    n = chunk_size/2
+    do while (n >= 1)
+      call add(n, twice(n + 1), twice)
+      call keep_larger(n, moment(n + 1), length(n + 1), moment, length)
+      n = n/2
+    end do
+    elastic = 0.5_wp*twice(1)
+    largest = moment(1)/length(1)
   end subroutine survey_cables
 
-  !> Twice the elastic energy and the largest tension of m cables, lane by lane.
+  !> Add twice the elastic energy of m cables to the sums, and keep what is pulled harder than
+  !> before. A tension is compared as a fraction, tension times length over length: the
+  !> division, half of a cable's time, is left to the end.
   pure subroutine survey_chunk(m, ax, ay, az, bx, by, bz, au, av, aw, bu, bv, bw, &
-                               stiffness, natural_length, damping, floor_tension, total, most)
+                               stiffness, natural_length, damping, twice, moment, length)
+    integer, intent(in) :: m
+    real(wp), intent(in) :: ax(m), ay(m), az(m), bx(m), by(m), bz(m), au(m), av(m), aw(m), bu(m), bv(m), bw(m)
+    real(wp), intent(in) :: stiffness(m), natural_length(m), damping(m)
+    real(wp), intent(inout) :: twice(m)              !! [J]
+    real(wp), intent(inout) :: moment(m), length(m)  !! [N m], [m]
+    real(wp) :: dx, dy, dz, now, stretch, spring, pull
+    logical :: larger
+    integer :: k
+
+    do k = 1, m
+      dx = bx(k) - ax(k)
+      dy = by(k) - ay(k)
+      dz = bz(k) - az(k)
+      now = sqrt(max(dx*dx + (dy*dy + dz*dz), smallest_square))
+      stretch = max(now - natural_length(k), 0.0_wp)
+      spring = stiffness(k)*stretch
+      twice(k) = twice(k) + spring*stretch
+      pull = spring*now + damping(k)*(dx*(bu(k) - au(k)) + (dy*(bv(k) - av(k)) + dz*(bw(k) - aw(k))))
+      larger = stretch > 0.0_wp .and. pull*length(k) > moment(k)*now
+      moment(k) = merge(pull, moment(k), larger)
+      length(k) = merge(now, length(k), larger)
+    end do
+  end subroutine survey_chunk
+
+  !> Of two lists of fractions keep the larger ones.
+  pure subroutine keep_larger(m, other_moment, other_length, moment, length)
+    integer, intent(in) :: m
+    real(wp), intent(in) :: other_moment(m), other_length(m)
+    real(wp), intent(inout) :: moment(m), length(m)
+    logical :: larger
+    integer :: k
+    do k = 1, m
+      larger = other_moment(k)*length(k) > moment(k)*other_length(k)
+      moment(k) = merge(other_moment(k), moment(k), larger)
+      length(k) = merge(other_length(k), length(k), larger)
+    end do
+  end subroutine keep_larger
+
+  !> Positions and velocities of both ends of the m loose cables from the first on.
+  pure subroutine gather_ends(plan, first, m, n_pad, x, v, ends)
+    type(cable_plan_t), intent(in) :: plan
+    integer, intent(in) :: first, m, n_pad
+    real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)     !! [m], [m/s]
+    real(wp), intent(inout) :: ends(chunk_size, 12)
+    integer :: k, c
+    do c = 1, 3
+      do k = 1, m
+        ends(k, c) = x(plan%loose_a(first + k - 1), c)
+        ends(k, c + 3) = x(plan%loose_b(first + k - 1), c)
+        ends(k, c + 6) = v(plan%loose_a(first + k - 1), c)
+        ends(k, c + 9) = v(plan%loose_b(first + k - 1), c)
+      end do
+    end do
+  end subroutine gather_ends
+
+  !> Tension of every slot of the plan [N], phantoms included, by the law of `strided_tension`.
+  pure subroutine slot_tensions(plan, n_pad, x, v, floor_tension, tension)
+    type(cable_plan_t), intent(in) :: plan
+    integer, intent(in) :: n_pad
+    real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)  !! [m], [m/s]
+    real(wp), intent(in) :: floor_tension             !! 0 clamps, -huge does not [N]
+    real(wp), intent(out) :: tension(plan%n_slot)
+    real(wp) :: ends(chunk_size, 12)
+    integer :: d, a, b, m, slot
+
+    do d = 1, plan%n_diagonal
+      a = plan%first(d)
+      b = a + plan%offset(d)
+      slot = plan%start(d)
+      m = plan%last(d) - a + 1
+      call tensions_of(m, x(a, 1), x(a, 2), x(a, 3), x(b, 1), x(b, 2), x(b, 3), &
+                       v(a, 1), v(a, 2), v(a, 3), v(b, 1), v(b, 2), v(b, 3), &
+                       plan%stiffness(slot), plan%natural_length(slot), plan%damping(slot), floor_tension, tension(slot))
+    end do
+    do a = 1, plan%n_loose, chunk_size
+      m = min(chunk_size, plan%n_loose - a + 1)
+      slot = plan%loose_start + a - 1
+      call gather_ends(plan, a, m, n_pad, x, v, ends)
+      call tensions_of(m, ends(1, 1), ends(1, 2), ends(1, 3), ends(1, 4), ends(1, 5), ends(1, 6), &
+                       ends(1, 7), ends(1, 8), ends(1, 9), ends(1, 10), ends(1, 11), ends(1, 12), &
+                       plan%stiffness(slot), plan%natural_length(slot), plan%damping(slot), floor_tension, tension(slot))
+    end do
+  end subroutine slot_tensions
+
+  pure subroutine tensions_of(m, ax, ay, az, bx, by, bz, au, av, aw, bu, bv, bw, &
+                              stiffness, natural_length, damping, floor_tension, tension)
     integer, intent(in) :: m
     real(wp), intent(in) :: ax(m), ay(m), az(m), bx(m), by(m), bz(m), au(m), av(m), aw(m), bu(m), bv(m), bw(m)
     real(wp), intent(in) :: stiffness(m), natural_length(m), damping(m), floor_tension
-    real(wp), intent(inout) :: total(lanes), most(lanes)
-    real(wp) :: twice(chunk_size), pull(chunk_size)
-    real(wp) :: dx, dy, dz, length, rate, stretch, spring
-    integer :: k, l, rows
-
+    real(wp), intent(out) :: tension(m)
+    real(wp) :: dx, dy, dz, length, rate, stretch
+    integer :: k
     do k = 1, m
       dx = bx(k) - ax(k)
       dy = by(k) - ay(k)
       dz = bz(k) - az(k)
       length = sqrt(max(dx*dx + (dy*dy + dz*dz), smallest_square))
       rate = (dx*(bu(k) - au(k)) + (dy*(bv(k) - av(k)) + dz*(bw(k) - aw(k))))/length
-      stretch = max(length - natural_length(k), 0.0_wp)
-      spring = stiffness(k)*stretch
-      twice(k) = spring*stretch
-      pull(k) = merge(max(floor_tension, spring + damping(k)*rate), 0.0_wp, stretch > 0.0_wp)
+      stretch = length - natural_length(k)
+      tension(k) = merge(max(floor_tension, stiffness(k)*stretch + damping(k)*rate), 0.0_wp, stretch > 0.0_wp)
     end do
-    rows = lanes*((m + lanes - 1)/lanes)
-    twice(m + 1:rows) = 0.0_wp
-    pull(m + 1:rows) = 0.0_wp
-    do k = 0, rows - lanes, lanes
-      do l = 1, lanes
-        total(l) = total(l) + twice(k + l)
-        most(l) = max(most(l), pull(k + l))
-      end do
-    end do
-  end subroutine survey_chunk
+  end subroutine tensions_of
 
   !> Force on the nodes begin..finish from cables that are in neither of the two full
   !> diagonals: further diagonals in their order, then loose cables in slot order. `rest` is

@@ -5,7 +5,7 @@
 !> because the level that "80 % of the largest area" means is known at the end only.
 module castnet_deployment
   use castnet_kinds, only: wp
-  use castnet_diagnostics, only: net_centre_of_mass, first_bad_node
+  use castnet_diagnostics, only: net_centre_of_mass, all_finite
   use castnet_model, only: model_t
   use castnet_polygon, only: loop_area
   use castnet_record, only: deployment_t
@@ -29,15 +29,29 @@ contains
   end subroutine begin_deployment
 
   !> Take in the state of now; call at each history row.
-  subroutine observe_deployment(model, state)
+  subroutine observe_deployment(model, state, centre)
     type(model_t), intent(in) :: model
     type(state_t), intent(inout) :: state
+    real(wp), intent(in) :: centre(3)  !! of mass of the net [m]
     if (.not. allocated(state%deployment)) return
-    if (first_bad_node(model%net%n_node, state%node_position, state%node_velocity) > 0) return
-    call follow_mouth(state%deployment, state%time, &
-                      loop_area(transpose(state%node_position(model%net%perimeter_nodes, :))), &
-                      net_centre_of_mass(model%net, state%node_position), model%net%flat_area)
+    ! No node is amiss where their sum is a number.
+    if (.not. all_finite(centre)) return
+    call follow_mouth(state%deployment, state%time, mouth_area(model, state), centre, model%net%flat_area)
   end subroutine observe_deployment
+
+  !> Area of the mouth [m2].
+  pure real(wp) function mouth_area(model, state)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(in) :: state
+    real(wp) :: point(3, size(model%net%perimeter_nodes))
+    integer :: i, c
+    do c = 1, 3
+      do i = 1, size(point, 2)
+        point(c, i) = state%node_position(model%net%perimeter_nodes(i), c)
+      end do
+    end do
+    mouth_area = loop_area(point)
+  end function mouth_area
 
   !> One more row: mouth area and centre of mass at a time.
   subroutine follow_mouth(deployment, time, area, centre, flat_area)

@@ -6,7 +6,7 @@
 !> vector length changes.
 module castnet_diagnostics
   use castnet_kinds, only: wp, i8
-  use castnet_cable_force, only: survey_cables
+  use castnet_cable_force, only: survey_cables, slot_tensions
   use castnet_compliant_contact, only: is_compliant, spring_energy
   use castnet_error, only: error_t, fail, exit_numerical
   use castnet_model, only: model_t, target_t
@@ -19,28 +19,43 @@ module castnet_diagnostics
   public :: net_kinetic_energy, target_kinetic_energy, elastic_energy
   public :: linear_momentum, angular_momentum, net_centre_of_mass
   public :: cable_tensions, largest_tension, record_history, impulse_percentiles
-  public :: first_bad_node, check_finite
+  public :: first_bad_node, check_finite, all_finite
 
   integer, parameter :: lanes = 8
+  integer, parameter :: n_sum = 11
+
+  !> Sums over the nodes.
+  type :: node_sums_t
+    real(wp) :: mass = 0.0_wp          !! [kg]
+    real(wp) :: moment(3) = 0.0_wp     !! of m x [kg m]
+    real(wp) :: momentum(3) = 0.0_wp   !! of m v [kg m/s]
+    real(wp) :: spin(3) = 0.0_wp       !! of m x × v [kg m2/s]
+    real(wp) :: square = 0.0_wp        !! of m v.v [J]
+  end type node_sums_t
 
 contains
 
   !> One row of /history: energies, momenta and tension of this state, ledger and tally
-  !> as they stand. The caller clears the tally afterwards.
-  function record_history(model, state) result(row)
+  !> as they stand. The caller clears the tally afterwards. One pass over the nodes, one over
+  !> the cables: rows are to cost next to nothing beside the steps between them.
+  function record_history(model, state, centre) result(row)
     type(model_t), intent(in) :: model
     type(state_t), intent(in) :: state
+    real(wp), intent(out), optional :: centre(3)  !! of mass of the net; 0 without one [m]
     type(history_row_t) :: row
+    type(node_sums_t) :: sums
     row%time = state%time
     if (allocated(model%net)) then
-      row%kinetic_net = net_kinetic_energy(model%net, state%node_velocity)
+      call sum_nodes(model%net, state%node_position, state%node_velocity, sums)
+      row%kinetic_net = 0.5_wp*sums%square
       call survey_net(model%net, state%node_position, state%node_velocity, row%elastic, row%max_tension)
       row%max_tension = max(state%tally%max_tension, row%max_tension)
       if (is_compliant(model)) row%elastic = row%elastic + spring_energy(model, state%node_position, state%target)
     end if
     if (allocated(model%target)) row%kinetic_target = target_kinetic_energy(model%target, state%target)
-    row%linear_momentum = linear_momentum(model, state)
-    row%angular_momentum = angular_momentum(model, state)
+    row%linear_momentum = sums%momentum + target_momentum(model, state)
+    row%angular_momentum = sums%spin + target_spin(model, state)
+    if (present(centre)) centre = sums%moment/max(sums%mass, tiny(1.0_wp))
     row%dissipated = state%ledger%dissipated
     row%contact_loss = state%ledger%contact_loss
     row%winch_work = state%ledger%winch_work
@@ -91,8 +106,7 @@ contains
     type(net_t), intent(in) :: net
     real(wp), contiguous, intent(in) :: position(:, :), velocity(:, :)  !! (n_pad,3) [m], [m/s]
     real(wp), intent(out) :: elastic, largest
-    call survey_cables(net%plan, size(position, 1), position, velocity, merge(0.0_wp, -huge(1.0_wp), net%clamp_tension), &
-                       elastic, largest)
+    call survey_cables(net%plan, size(position, 1), position, velocity, elastic, largest)
   end subroutine survey_net
 
   !> Linear momentum of net and target [kg m/s].
@@ -100,16 +114,9 @@ contains
     type(model_t), intent(in) :: model
     type(state_t), intent(in) :: state
     real(wp) :: momentum(3)
-    integer :: c
-    momentum = 0.0_wp
-    if (allocated(model%net)) then
-      do c = 1, 3
-        momentum(c) = weighted_sum(model%net%n_node, model%net%node_mass, state%node_velocity(:, c))
-      end do
-    end if
-    if (.not. allocated(model%target)) return
-    if (model%target%fixed) return
-    momentum = momentum + model%target%mass*state%target%velocity
+    type(node_sums_t) :: sums
+    if (allocated(model%net)) call sum_nodes(model%net, state%node_position, state%node_velocity, sums)
+    momentum = sums%momentum + target_momentum(model, state)
   end function linear_momentum
 
   !> Angular momentum of net and target about the inertial origin [kg m2/s]:
@@ -118,80 +125,69 @@ contains
     type(model_t), intent(in) :: model
     type(state_t), intent(in) :: state
     real(wp) :: momentum(3)
-    integer :: c, d, e
+    type(node_sums_t) :: sums
+    if (allocated(model%net)) call sum_nodes(model%net, state%node_position, state%node_velocity, sums)
+    momentum = sums%spin + target_spin(model, state)
+  end function angular_momentum
+
+  !> The target's share of the momentum [kg m/s]; a fixed one has none.
+  pure function target_momentum(model, state) result(momentum)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(in) :: state
+    real(wp) :: momentum(3)
     momentum = 0.0_wp
-    if (allocated(model%net)) then
-      do c = 1, 3
-        d = modulo(c, 3) + 1
-        e = modulo(c + 1, 3) + 1
-        momentum(c) = weighted_moment(model%net%n_node, model%net%node_mass, state%node_position(:, d), &
-                                      state%node_velocity(:, e), state%node_position(:, e), state%node_velocity(:, d))
-      end do
-    end if
+    if (.not. allocated(model%target)) return
+    if (.not. model%target%fixed) momentum = model%target%mass*state%target%velocity
+  end function target_momentum
+
+  !> The target's share of the angular momentum [kg m2/s].
+  pure function target_spin(model, state) result(momentum)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(in) :: state
+    real(wp) :: momentum(3)
+    momentum = 0.0_wp
     if (.not. allocated(model%target)) return
     if (model%target%fixed) return
     associate (x => state%target%position, v => state%target%velocity, mass => model%target%mass)
-      momentum(1) = momentum(1) + mass*(x(2)*v(3) - x(3)*v(2))
-      momentum(2) = momentum(2) + mass*(x(3)*v(1) - x(1)*v(3))
-      momentum(3) = momentum(3) + mass*(x(1)*v(2) - x(2)*v(1))
+      momentum(1) = mass*(x(2)*v(3) - x(3)*v(2))
+      momentum(2) = mass*(x(3)*v(1) - x(1)*v(3))
+      momentum(3) = mass*(x(1)*v(2) - x(2)*v(1))
     end associate
     momentum = momentum + rotate(state%target%attitude, body_spin(model%target, state%target))
-  end function angular_momentum
+  end function target_spin
 
   !> Centre of mass of the net, fixed nodes and bullets included [m].
   pure function net_centre_of_mass(net, position) result(centre)
     type(net_t), intent(in) :: net
-    real(wp), intent(in) :: position(:, :)  !! (n_pad,3) [m]
-    real(wp) :: centre(3), part(lanes)
-    integer :: c, i, k
-    part = 0.0_wp
-    do i = 0, net%n_node - 1, lanes
-      do k = 1, min(lanes, net%n_node - i)
-        part(k) = part(k) + net%node_mass(i + k)
-      end do
-    end do
-    do c = 1, 3
-      centre(c) = weighted_sum(net%n_node, net%node_mass, position(:, c))/fold(part)
-    end do
+    real(wp), intent(in), contiguous :: position(:, :)  !! (n_pad,3) [m]
+    real(wp) :: centre(3)
+    type(node_sums_t) :: sums
+    call sum_nodes(net, position, position, sums)
+    centre = sums%moment/sums%mass
   end function net_centre_of_mass
 
   !> Tension of every cable (physics.md section 1): k (l - l0) + c dl/dt while l > l0,
   !> else 0; never negative when the net clamps it.
   pure subroutine cable_tensions(net, position, velocity, tension)
     type(net_t), intent(in) :: net
-    real(wp), intent(in) :: position(:, :), velocity(:, :)  !! (n_pad,3) [m], [m/s]
-    real(wp), intent(out) :: tension(:)                     !! (n_cable) [N]
+    real(wp), intent(in), contiguous :: position(:, :), velocity(:, :)  !! (n_pad,3) [m], [m/s]
+    real(wp), intent(out) :: tension(:)                                 !! (n_cable) [N]
+    real(wp) :: of_slot(net%plan%n_slot)
     integer :: i
+    call slot_tensions(net%plan, size(position, 1), position, velocity, &
+                       merge(0.0_wp, -huge(1.0_wp), net%clamp_tension), of_slot)
     do i = 1, net%n_cable
-      tension(i) = one_tension(net, position, velocity, i)
+      tension(i) = of_slot(net%plan%slot_of_cable(i))
     end do
   end subroutine cable_tensions
 
   !> The largest of them, 0 when every cable is slack [N].
   pure real(wp) function largest_tension(net, position, velocity) result(largest)
     type(net_t), intent(in) :: net
-    real(wp), intent(in) :: position(:, :), velocity(:, :)
+    real(wp), intent(in), contiguous :: position(:, :), velocity(:, :)
     real(wp) :: elastic
     call survey_net(net, position, velocity, elastic, largest)
   end function largest_tension
-
-  pure real(wp) function one_tension(net, position, velocity, i) result(tension)
-    type(net_t), intent(in) :: net
-    real(wp), intent(in) :: position(:, :), velocity(:, :)
-    integer, intent(in) :: i
-    real(wp) :: d(3), w(3), length, rate
-    integer :: a, b
-    a = net%cable_nodes(1, i)
-    b = net%cable_nodes(2, i)
-    d = position(b, :) - position(a, :)
-    w = velocity(b, :) - velocity(a, :)
-    length = sqrt(max(d(1)*d(1) + (d(2)*d(2) + d(3)*d(3)), 1.0e-60_wp))
-    rate = (d(1)*w(1) + (d(2)*w(2) + d(3)*w(3)))/length
-    tension = 0.0_wp
-    if (.not. length > net%natural_length(i)) return
-    tension = net%axial_stiffness(i)/net%natural_length(i)*(length - net%natural_length(i)) + net%damping(i)*rate
-    if (net%clamp_tension) tension = max(0.0_wp, tension)
-  end function one_tension
 
   !> The impulses below which 50, 95, 99 and 99.9 % of all contacts stayed [N s], from the
   !> bins of castnet_state, so to half a bin, 0.6 %; 0 when nothing has touched.
@@ -280,6 +276,12 @@ contains
     words = trim(buffer)
   end function number
 
+  !> Is every value a finite number?
+  pure logical function all_finite(values)
+    real(wp), intent(in) :: values(:)
+    all_finite = all(is_finite(values))
+  end function all_finite
+
   !> Neither NaN nor infinite: the exponent's eleven bits are not all set.
   elemental logical function is_finite(x)
     real(wp), intent(in) :: x
@@ -298,25 +300,6 @@ contains
                 target%inertia(i, 3)*body%angular_velocity(3)
     end do
   end function body_spin
-
-  !> Sum of w x. Whole blocks of lanes first: a constant count is what vectorises.
-  pure real(wp) function weighted_sum(n, w, x) result(total)
-    integer, intent(in) :: n
-    real(wp), intent(in) :: w(n), x(n)
-    real(wp) :: part(lanes)
-    integer :: i, k
-    part = 0.0_wp
-    do i = 0, n - lanes, lanes
-      do k = 1, lanes
-        part(k) = part(k) + w(i + k)*x(i + k)
-      end do
-    end do
-    do k = 1, modulo(n, lanes)
-      i = n - modulo(n, lanes)
-      part(k) = part(k) + w(i + k)*x(i + k)
-    end do
-    total = fold(part)
-  end function weighted_sum
 
   !> Sum of w (x x + y y + z z).
   pure real(wp) function weighted_square(n, w, x, y, z) result(total)
@@ -337,24 +320,54 @@ contains
     total = fold(part)
   end function weighted_square
 
-  !> Sum of w (x y - p q).
-  pure real(wp) function weighted_moment(n, w, x, y, p, q) result(total)
-    integer, intent(in) :: n
-    real(wp), intent(in) :: w(n), x(n), y(n), p(n), q(n)
-    real(wp) :: part(lanes)
-    integer :: i, k
+  !> All sums over the nodes that a row of history tells.
+  pure subroutine sum_nodes(net, position, velocity, sums)
+    type(net_t), intent(in) :: net
+    real(wp), intent(in), contiguous :: position(:, :), velocity(:, :)  !! (n_pad,3) [m], [m/s]
+    type(node_sums_t), intent(out) :: sums
+    real(wp) :: part(lanes, n_sum), rest(lanes, 7)
+    integer :: whole, n
     part = 0.0_wp
+    n = modulo(net%n_node, lanes)
+    whole = net%n_node - n
+    call add_nodes(whole, net%node_mass, position(:, 1), position(:, 2), position(:, 3), &
+                   velocity(:, 1), velocity(:, 2), velocity(:, 3), part)
+    if (n > 0) then
+      rest = 0.0_wp
+      rest(:n, 1) = net%node_mass(whole + 1:whole + n)
+      rest(:n, 2:4) = position(whole + 1:whole + n, :)
+      rest(:n, 5:7) = velocity(whole + 1:whole + n, :)
+      call add_nodes(lanes, rest(:, 1), rest(:, 2), rest(:, 3), rest(:, 4), rest(:, 5), rest(:, 6), rest(:, 7), part)
+    end if
+    sums%mass = fold(part(:, 1))
+    sums%moment = [fold(part(:, 2)), fold(part(:, 3)), fold(part(:, 4))]
+    sums%momentum = [fold(part(:, 5)), fold(part(:, 6)), fold(part(:, 7))]
+    sums%spin = [fold(part(:, 8)), fold(part(:, 9)), fold(part(:, 10))]
+    sums%square = fold(part(:, 11))
+  end subroutine sum_nodes
+
+  !> Add whole blocks of nodes to the parts of the sums: a constant count is what vectorises.
+  pure subroutine add_nodes(n, mass, x, y, z, u, v, w, part)
+    integer, intent(in) :: n                        !! a multiple of lanes
+    real(wp), intent(in) :: mass(n), x(n), y(n), z(n), u(n), v(n), w(n)
+    real(wp), intent(inout) :: part(lanes, n_sum)
+    integer :: i, k
     do i = 0, n - lanes, lanes
       do k = 1, lanes
-        part(k) = part(k) + w(i + k)*(x(i + k)*y(i + k) - p(i + k)*q(i + k))
+        part(k, 1) = part(k, 1) + mass(i + k)
+        part(k, 2) = part(k, 2) + mass(i + k)*x(i + k)
+        part(k, 3) = part(k, 3) + mass(i + k)*y(i + k)
+        part(k, 4) = part(k, 4) + mass(i + k)*z(i + k)
+        part(k, 5) = part(k, 5) + mass(i + k)*u(i + k)
+        part(k, 6) = part(k, 6) + mass(i + k)*v(i + k)
+        part(k, 7) = part(k, 7) + mass(i + k)*w(i + k)
+        part(k, 8) = part(k, 8) + mass(i + k)*(y(i + k)*w(i + k) - z(i + k)*v(i + k))
+        part(k, 9) = part(k, 9) + mass(i + k)*(z(i + k)*u(i + k) - x(i + k)*w(i + k))
+        part(k, 10) = part(k, 10) + mass(i + k)*(x(i + k)*v(i + k) - y(i + k)*u(i + k))
+        part(k, 11) = part(k, 11) + mass(i + k)*(u(i + k)*u(i + k) + v(i + k)*v(i + k) + w(i + k)*w(i + k))
       end do
     end do
-    do k = 1, modulo(n, lanes)
-      i = n - modulo(n, lanes)
-      part(k) = part(k) + w(i + k)*(x(i + k)*y(i + k) - p(i + k)*q(i + k))
-    end do
-    total = fold(part)
-  end function weighted_moment
+  end subroutine add_nodes
 
   !> The lanes, pairwise.
   pure real(wp) function fold(part)

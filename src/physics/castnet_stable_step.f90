@@ -251,9 +251,9 @@ contains
   pure real(wp) function largest_tridiagonal(n, alpha, beta) result(value)
     integer, intent(in) :: n
     real(wp), intent(in) :: alpha(:), beta(:)
-    real(wp) :: low, high, middle, d, off
-    integer :: i, step
-    logical :: above
+    integer, parameter :: n_probe = 8
+    real(wp) :: low, high, off, probe(n_probe), d(n_probe), top(n_probe)
+    integer :: i, k, step
 
     low = maxval(alpha(:n))
     high = low
@@ -263,22 +263,38 @@ contains
       if (i < n) off = off + beta(i)
       high = max(high, alpha(i) + off)
     end do
-    do step = 1, 60
-      middle = 0.5_wp*(low + high)
-      above = .false.       ! is some eigenvalue above the middle?
+    ! Three halvings at a time: divisions wait for each other in one sequence, not in seven.
+    do step = 1, 20
+      probe(4) = 0.5_wp*(low + high)
+      probe(2) = 0.5_wp*(low + probe(4))
+      probe(6) = 0.5_wp*(probe(4) + high)
+      probe(1) = 0.5_wp*(low + probe(2))
+      probe(3) = 0.5_wp*(probe(2) + probe(4))
+      probe(5) = 0.5_wp*(probe(4) + probe(6))
+      probe(7) = 0.5_wp*(probe(6) + high)
+      probe(8) = high
+      top = -huge(1.0_wp)
       d = 1.0_wp
       do i = 1, n
         off = 0.0_wp
-        if (i > 1) off = beta(i - 1)**2/d
-        d = alpha(i) - middle - off
-        if (d > 0.0_wp) above = .true.
-        if (abs(d) < 1.0e-290_wp) d = -1.0e-290_wp
+        if (i > 1) off = beta(i - 1)**2
+        do k = 1, n_probe
+          d(k) = alpha(i) - probe(k) - off/d(k)
+          top(k) = max(top(k), d(k))
+          d(k) = merge(-1.0e-290_wp, d(k), abs(d(k)) < 1.0e-290_wp)
+        end do
       end do
-      if (above) then
-        low = middle
-      else
-        high = middle
-      end if
+      ! Is some eigenvalue above the probe?
+      k = 4
+      do i = 1, 3
+        if (top(k) > 0.0_wp) then
+          low = probe(k)
+          k = k + 2/i
+        else
+          high = probe(k)
+          k = k - 2/i
+        end if
+      end do
     end do
     value = high
   end function largest_tridiagonal
@@ -313,19 +329,25 @@ contains
   pure real(wp) function find_limit(method, spectrum) result(h)
     integer, intent(in) :: method
     type(spectrum_t), intent(in) :: spectrum
+    integer, parameter :: grid = 400, coarse = 8
     real(wp) :: low, high
-    integer :: step
+    integer :: step, stretch
 
     h = huge(1.0_wp)
     if (spectrum%highest_frequency <= 0.0_wp .and. spectrum%largest_damping_rate <= 0.0_wp) return
     high = 4.0_wp/max(spectrum%highest_frequency, 0.5_wp*spectrum%largest_damping_rate)
-    ! Walk up from a small step, so that an island of stability beyond the limit does not count.
-    low = 0.0_wp
-    do step = 1, 400
-      if (.not. all_stable(method, spectrum, high*step/400)) exit
-      low = high*step/400
+    ! Walk up from a small step, so that an island of stability beyond the limit does not
+    ! count; coarsely first, then over the last stretch again.
+    do stretch = coarse, grid, coarse
+      if (.not. all_stable(method, spectrum, high*stretch/grid)) exit
     end do
-    high = high*step/400
+    low = 0.0_wp
+    if (stretch > coarse) low = high*(stretch - coarse)/grid
+    do step = stretch - coarse + 1, grid
+      if (.not. all_stable(method, spectrum, high*step/grid)) exit
+      low = high*step/grid
+    end do
+    high = high*step/grid
     do step = 1, 40
       h = 0.5_wp*(low + high)
       if (all_stable(method, spectrum, h)) then

@@ -177,8 +177,9 @@ contains
   function take_row(sim) result(row)
     type(simulation_t), intent(inout) :: sim
     type(history_row_t) :: row
-    row = record_history(sim%model, sim%state)
-    call observe_deployment(sim%model, sim%state)
+    real(wp) :: centre(3)
+    row = record_history(sim%model, sim%state, centre)
+    call observe_deployment(sim%model, sim%state, centre)
     sim%state%tally = tally_t()
     sim%state%schedule%rows = sim%state%schedule%rows + 1
     sim%state%schedule%row_step = sim%state%step
