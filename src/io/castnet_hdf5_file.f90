@@ -15,7 +15,8 @@ module castnet_hdf5_file
                   h5screate_simple_f, &
                   h5screate_f, h5sclose_f, h5dcreate_f, h5dopen_f, h5dclose_f, h5dwrite_f, h5acreate_f, h5awrite_f, &
                   h5aclose_f, h5aopen_f, h5aexists_f, h5tcopy_f, h5tclose_f, h5tset_size_f, h5tset_cset_f, &
-                  h5tset_strpad_f, h5ldelete_f, h5lexists_f, h5t_string, h5t_fortran_s1, h5t_cset_utf8_f, &
+                  h5tset_strpad_f, h5ldelete_f, h5lexists_f, h5lmove_f, h5lcreate_soft_f, h5lcreate_hard_f, h5t_string, &
+                  h5t_fortran_s1, h5t_cset_utf8_f, &
                   h5t_str_nullpad_f, h5lget_name_by_idx_f, h5p_group_create_f, h5pset_link_creation_order_f, &
                   h5pset_link_phase_change_f, h5pset_est_link_info_f, h5p_crt_order_tracked_f, h5_index_name_f, h5_iter_inc_f, &
                   h5t_native_double, h5t_native_real, h5t_native_integer, h5t_std_i32le, &
@@ -30,8 +31,9 @@ module castnet_hdf5_file
   private
   public :: hdf5_file_t, location_t, check, joined, transfer_plan, keep_open, let_go
   public :: start_hdf5, create_hdf5, open_hdf5, flush_file, close_file, file_bytes, is_hdf5
-  public :: make_group, open_group, close_group, empty_group, has_entry
+  public :: make_group, open_group, close_group, empty_group, has_entry, remove_entry, rename_entry, link_entry, name_again
   public :: write_text, write_short_text, write_value, write_array, set_attribute, set_fixed_text, make_scale, attach_scales
+  public :: tell_scales
   public :: most_rank, kind_double, kind_single, kind_integer, kind_long, memory_type, file_type, value_bytes
 
   integer, parameter :: kind_double = 1, kind_single = 2, kind_integer = 3, kind_long = 4
@@ -346,6 +348,53 @@ contains
     call h5lexists_f(parent%id, name, has_entry, status)
     if (status < 0) has_entry = .false.
   end function has_entry
+
+  !> Remove a dataset, group or link. What it leads to goes with it if nothing else leads there.
+  subroutine remove_entry(file, parent, name, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: status
+    if (file%broken) return
+    call h5ldelete_f(parent%id, name, status)
+    call check(file, status, 'remove', joined(parent, name), error)
+  end subroutine remove_entry
+
+  subroutine rename_entry(file, parent, old, new, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: old, new
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: status
+    if (file%broken) return
+    call h5lmove_f(parent%id, old, parent%id, new, status)
+    call check(file, status, 'rename', joined(parent, old), error)
+  end subroutine rename_entry
+
+  !> A soft link, a second name for what stands beside it.
+  subroutine link_entry(file, parent, name, link, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name, link      !! what is there; the new name
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: status
+    if (file%broken) return
+    call h5lcreate_soft_f(name, parent%id, link, status)
+    call check(file, status, 'link', joined(parent, link), error)
+  end subroutine link_entry
+
+  !> A second name that is as good as the first.
+  subroutine name_again(file, parent, name, second, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(location_t), intent(in) :: parent
+    character(len=*), intent(in) :: name, second
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: status
+    if (file%broken) return
+    call h5lcreate_hard_f(parent%id, name, parent%id, second, status)
+    call check(file, status, 'link', joined(parent, second), error)
+  end subroutine name_again
 
   pure function joined(parent, name) result(path)
     type(location_t), intent(in) :: parent

@@ -22,10 +22,10 @@ module castnet_run_writer
   use castnet_posix, only: wall_seconds, reserve_space, release_space, sync_path, rename_file, remove_file, copy_file, &
                            file_size, free_space, file_failure
   use castnet_hdf5_file, only: hdf5_file_t, create_hdf5, open_hdf5, close_file, flush_file, file_bytes, &
-                               has_entry, write_array, make_scale, attach_scales, kind_double
+                               has_entry, write_array, make_scale, attach_scales, tell_scales, kind_double
   use castnet_hdf5_series, only: series_t, create_series, open_series, hold_frames, write_held, truncate_series, close_series, &
                                  growth_bytes
-  use castnet_hdf5_reader, only: dataset_t, ask_dataset, read_text
+  use castnet_hdf5_reader, only: dataset_t, ask_dataset, read_doubles, read_text
   use castnet_restart_check, only: check_same_scene
   use castnet_static_writer, only: write_static
   use castnet_meta_writer, only: run_info_t, write_meta, continue_meta, first_count, end_meta
@@ -68,6 +68,7 @@ module castnet_run_writer
     type(surface_t), allocatable :: surface
     real(wp), allocatable :: node(:)              !! scratch: x y z of each node
     integer :: n_node = 0, n_cable = 0
+    logical :: published = .true.                 !! the file has the name that others know, OUTPUT.part
     integer(i8) :: held = 0                       !! frames in memory
     real(wp) :: held_since = 0.0_wp               !! wall time of the first of them [s]
     integer(i8) :: expected = 0                   !! bytes of the whole file, at most
@@ -77,8 +78,9 @@ module castnet_run_writer
 
 contains
 
-  !> Start OUTPUT.part (as OUTPUT.tmp) with everything that does not change. An old one is replaced:
-  !> who may do that is for the caller to know. Errors: exit_file.
+  !> Start OUTPUT.part with everything that does not change. An old one is replaced, when the
+  !> first frame is in the file, which is OUTPUT.tmp till then: a file without a step is none
+  !> for ParaView. Who may do that is for the caller to know. Errors: exit_file.
   subroutine open_run(writer, path, scene_text, effective_text, model, surface, info, error)
     type(run_writer_t), intent(out) :: writer
     character(len=*), intent(in) :: path                  !! OUTPUT
@@ -88,7 +90,7 @@ contains
     type(surface_t), intent(in), optional :: surface      !! of the target, body axes; for pictures
     type(run_info_t), intent(in) :: info
     type(error_t), allocatable, intent(inout) :: error
-    integer :: number, ignored
+    integer :: ignored
     if (allocated(error)) return
     call prepare(writer, path, model, surface)
     ignored = remove_file(path//'.tmp')
@@ -105,15 +107,9 @@ contains
       allocate (writer%vtk)
       call create_vtkhdf(writer%vtk, writer%file, model, writer%surface, error)
     end if
-    call flush_file(writer%file, error)
     if (.not. allocated(error)) writer%expected = file_bytes(writer%file) + needed_bytes(writer, info)
     call check_room(writer, info, error)
-    if (.not. allocated(error)) then
-      ! Under its name the file can be opened from the first moment on.
-      number = rename_file(path//'.tmp', writer%part)
-      if (number /= 0) call file_failure(error, number, 'cannot create', writer%part)
-      writer%file%path = writer%part
-    end if
+    writer%published = .false.
     if (.not. allocated(error)) return
     call close_quietly(writer)
     ignored = remove_file(path//'.tmp')
@@ -134,6 +130,7 @@ contains
     integer(i8) :: frames, rows
     integer :: i, number
     logical :: in_copy
+    real(wp), allocatable :: time(:)
     if (allocated(error)) return
     call prepare(writer, path, model, surface)
     call open_old(writer, in_copy, error)
@@ -155,7 +152,8 @@ contains
     call reopen_history(writer%history, writer%file, rows, error)
     if (has_entry(writer%file%root, 'VTKHDF')) then
       allocate (writer%vtk)
-      call reopen_vtkhdf(writer%vtk, writer%file, model, writer%surface, frames, error)
+      if (.not. allocated(error)) call read_doubles(writer%file, '/time', frames, time, error)
+      if (.not. allocated(error)) call reopen_vtkhdf(writer%vtk, writer%file, model, writer%surface, time(:frames), error)
     end if
     call prepare_summary(writer%file, error)
     call continue_meta(writer%file, info, writer%session, error)
@@ -366,7 +364,7 @@ contains
     type(error_t), allocatable, intent(inout) :: error
     integer :: number
     if (writer%file%broken) return
-    number = reserve_space(writer%part, file_bytes(writer%file), bytes + tail)
+    number = reserve_space(writer%file%path, file_bytes(writer%file), bytes + tail)
     if (number /= 0) call file_failure(error, number, 'cannot write to', writer%part)
   end subroutine reserve
 
@@ -418,8 +416,8 @@ contains
     type(run_writer_t), intent(inout) :: writer
     type(error_t), allocatable, intent(inout) :: error
     if (allocated(error) .or. writer%held == 0) return
-    if (sum(writer%series%held_bytes) >= hold_bytes .or. wall_seconds() - writer%held_since >= hold_seconds) &
-      call flush_run(writer, error)
+    if (.not. writer%published .or. sum(writer%series%held_bytes) >= hold_bytes .or. &
+        wall_seconds() - writer%held_since >= hold_seconds) call flush_run(writer, error)
   end subroutine write_when_due
 
   !> Keep a row of /history; it reaches the file with the next frames or flush.
@@ -438,7 +436,8 @@ contains
     type(run_writer_t), intent(inout) :: writer
     type(error_t), allocatable, intent(inout) :: error
     integer :: i
-    if (allocated(error) .or. (waiting_rows(writer%history) == 0 .and. writer%held == 0)) return
+    if (allocated(error)) return
+    if (waiting_rows(writer%history) == 0 .and. writer%held == 0 .and. writer%published) return
     call reserve(writer, frame_growth(writer, writer%held) &
                  + history_growth(writer%history, int(waiting_rows(writer%history), i8)), error)
     if (allocated(error)) return
@@ -449,7 +448,21 @@ contains
     call write_rows(writer%history, writer%file, error)
     call flush_file(writer%file, error)
     writer%held = 0
+    if (.not. writer%published) call publish(writer, error)
   end subroutine flush_run
+
+  !> Give the file the name that others know.
+  subroutine publish(writer, error)
+    type(run_writer_t), intent(inout) :: writer
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: number
+    if (allocated(error)) return
+    number = rename_file(writer%file%path, writer%part)
+    if (number /= 0) call file_failure(error, number, 'cannot create', writer%part)
+    if (allocated(error)) return
+    writer%file%path = writer%part
+    writer%published = .true.
+  end subroutine publish
 
   !> Write /summary and the status, close, and rename OUTPUT.part to OUTPUT when the run is
   !> complete. May be called with an error at hand: then the file is closed as well as it
@@ -472,7 +485,11 @@ contains
     end if
     if (allocated(problem) .and. .not. allocated(error)) call move_alloc(problem, error)
     call close_everything(writer, error)
-    number = release_space(writer%part)
+    if (writer%published) then
+      number = release_space(writer%part)
+    else
+      number = remove_file(writer%file%path)
+    end if
     if (allocated(error) .or. status /= status_complete) return
     number = sync_path(writer%part)
     if (number == 0) number = rename_file(writer%part, writer%path)
@@ -493,7 +510,7 @@ contains
     integer :: ignored
     if (.not. writer%file%is_open) return
     call close_quietly(writer)
-    ignored = remove_file(writer%part)
+    ignored = remove_file(writer%file%path)
   end subroutine discard_run
 
   subroutine close_everything(writer, error)
@@ -504,6 +521,8 @@ contains
       call close_series(writer%file, writer%series(i))
     end do
     if (allocated(writer%history)) call close_history(writer%history, writer%file)
+    ! Before anything is removed: what is made after could take its place while readers still see it.
+    call tell_scales(writer%file, error)
     if (allocated(writer%vtk)) call close_vtkhdf(writer%vtk, writer%file)
     call close_file(writer%file, error)
   end subroutine close_everything
