@@ -238,12 +238,35 @@ contains
     if (allocated(options%restart)) then
       if (can_continue(options%output)) then
         call stage_part(options%output, error)
-        call reopen_run(writer, options%output, effective_text, shown_model(sim%model), surface, info, error)
+        call open_shown(.true.)
         return
       end if
     end if
-    call open_run(writer, options%output, scene%text, effective_text, shown_model(sim%model), surface, info, error)
+    call open_shown(.false.)
     if (.not. allocated(error) .and. .not. allocated(options%restart)) call clear_leftovers(options%output)
+
+  contains
+
+    !> With the numbers of the file; a model that has them is not copied.
+    subroutine open_shown(again)
+      logical, intent(in) :: again
+      if (is_renumbered(sim%model)) then
+        call open_model(shown_model(sim%model), again)
+      else
+        call open_model(sim%model, again)
+      end if
+    end subroutine open_shown
+
+    subroutine open_model(model, again)
+      type(model_t), intent(in) :: model
+      logical, intent(in) :: again
+      if (again) then
+        call reopen_run(writer, options%output, effective_text, model, surface, info, error)
+      else
+        call open_run(writer, options%output, scene%text, effective_text, model, surface, info, error)
+      end if
+    end subroutine open_model
+
   end subroutine open_writer
 
   !> Everything that is due at this step.
@@ -297,7 +320,7 @@ contains
     type(model_t), intent(in) :: model
     type(model_t) :: shown
     shown = model
-    if (is_renumbered(model)) shown%net = in_original_order(model%net)
+    shown%net = in_original_order(model%net)
   end function shown_model
 
   function shown_state(sim) result(shown)
