@@ -357,6 +357,7 @@ contains
     type(error_t), allocatable, intent(inout) :: error
     integer :: status
     if (file%broken) return
+    call let_go(file)
     call h5ldelete_f(parent%id, name, status)
     call check(file, status, 'remove', joined(parent, name), error)
   end subroutine remove_entry
@@ -368,6 +369,7 @@ contains
     type(error_t), allocatable, intent(inout) :: error
     integer :: status
     if (file%broken) return
+    call let_go(file)
     call h5lmove_f(parent%id, old, parent%id, new, status)
     call check(file, status, 'rename', joined(parent, old), error)
   end subroutine rename_entry
