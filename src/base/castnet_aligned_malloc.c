@@ -4,8 +4,13 @@
  * array: then every 512-bit load or store touches two cache lines, which costs the force
  * kernel a third of its speed (docs/performance.md). The standard has no word for
  * alignment, so malloc itself hands out whole lines from a kilobyte on; everything else,
- * free and realloc too, is glibc's own. On other C libraries nothing is changed. */
+ * free and realloc too, is glibc's own. On other C libraries nothing is changed.
+ *
+ * What it could not give is noted: a program that then ends, however that looks, is out of
+ * memory (castnet_process_guard.c). */
 #include <stdlib.h>
+
+volatile size_t castnet_refused_bytes = 0; /* that malloc was last asked for in vain; 0: never */
 
 #ifdef __GLIBC__
 
@@ -13,7 +18,9 @@ extern void *__libc_malloc(size_t size);
 extern void *__libc_memalign(size_t alignment, size_t size);
 
 void *malloc(size_t size) {
-  return size < 1024 ? __libc_malloc(size) : __libc_memalign(64, size);
+  void *room = size < 1024 ? __libc_malloc(size) : __libc_memalign(64, size);
+  if (room == NULL) castnet_refused_bytes = size;
+  return room;
 }
 
 #endif

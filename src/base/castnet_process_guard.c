@@ -34,6 +34,8 @@ static int put(int where, const char *text, int64_t n)
     return 0;
 }
 
+extern volatile size_t castnet_refused_bytes; /* castnet_aligned_malloc.c */
+
 static void say(const char *text) { put(STDERR_FILENO, text, (int64_t)strlen(text)); }
 
 /* Results for standard output. Fortran's own flush is silent on a full disk; here what
@@ -47,6 +49,21 @@ static void say_what_to_do(void)
 {
     say("castnet: what was written stays, and a run goes on from its last checkpoint with --restart; please report the "
         "command, the scene and what 'castnet version' prints\n");
+}
+
+/* Did memory run out? That is no bug of ours. Only calls that a signal handler may make. */
+static int say_memory_ran_out(void)
+{
+    char digits[24];
+    int n = (int)sizeof digits - 1;
+    size_t mebibytes = castnet_refused_bytes / 1048576 + 1;
+    if (castnet_refused_bytes == 0) return 0;
+    for (digits[n] = 0; mebibytes > 0 && n > 0; mebibytes /= 10) digits[--n] = (char)('0' + mebibytes % 10);
+    say("castnet: memory ran out: ");
+    say(digits + n);
+    say(" MiB more were refused; raise the limit (ulimit -v, or the job's), end other programs, or take a smaller net or study\n"
+        "castnet: what was written stays, and a run goes on from its last checkpoint with --restart\n");
+    return 1;
 }
 
 static _Thread_local uintptr_t stack_end = 0; /* the lowest address of this thread's stack; 0: not known */
@@ -73,6 +90,7 @@ static void on_crash(int number, siginfo_t *info, void *context)
             "(fpm @release)\n");
         _exit(1);
     }
+    if (say_memory_ran_out()) _exit(1);
     say("castnet: a bug of ours: the program ");
     say(number == SIGSEGV || number == SIGBUS ? "reached outside its memory"
         : number == SIGFPE ? "divided where it must not" : "was aborted");
@@ -84,7 +102,8 @@ static void on_crash(int number, siginfo_t *info, void *context)
 static void on_exit_of_another(void)
 {
     if (ending) return;
-    say("castnet: a bug of ours, or memory that ran out: the program could not go on\n");
+    if (say_memory_ran_out()) _exit(1);
+    say("castnet: a bug of ours: the program could not go on\n");
     say_what_to_do();
     _exit(1);
 }
