@@ -16,7 +16,7 @@ module castnet_hdf5_series
   implicit none
   private
   public :: series_t, create_series, open_series, append_frames, hold_frames, write_held, truncate_series, close_series, &
-            growth_bytes
+            growth_bytes, frames_a_chunk
 
   !> Chunks of small frames hold about this much, of large ones at most the second [bytes]:
   !> an almost empty file stays small, a long one reads fast. Where it is known how many frames
@@ -143,6 +143,12 @@ contains
     end if
     call count_chunks(series, chunk)
   end subroutine choose_chunk
+
+  !> Of frames of so many bytes, as many as come, about: how many to a chunk?
+  pure integer function frames_a_chunk(expected, bytes)
+    integer(i8), intent(in) :: expected, bytes
+    frames_a_chunk = int(max(1_i8, min(expected, known_chunk/max(1_i8, bytes))))
+  end function frames_a_chunk
 
   !> What a block of frames costs on the disk: edge chunks are stored in full.
   subroutine count_chunks(series, chunk)

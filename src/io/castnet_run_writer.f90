@@ -105,7 +105,7 @@ contains
     call write_meta(writer%file, scene_text, effective_text, model, info, writer%session, error)
     if (info%vtk) then
       allocate (writer%vtk)
-      call create_vtkhdf(writer%vtk, writer%file, model, writer%surface, error)
+      call create_vtkhdf(writer%vtk, writer%file, model, writer%surface, info%expected_frames - info%schedule%frames, error)
     end if
     if (.not. allocated(error)) writer%expected = file_bytes(writer%file) + needed_bytes(writer, info)
     call check_room(writer, info, error)

@@ -24,7 +24,7 @@ module castnet_vtkhdf_writer
                                rename_entry, link_entry, name_again, write_array, set_attribute, set_fixed_text, kind_double, &
                                kind_single, kind_long
   use castnet_hdf5_series, only: series_t, create_series, open_series, append_frames, hold_frames, write_held, truncate_series, &
-                                 close_series, growth_bytes
+                                 close_series, growth_bytes, frames_a_chunk
   implicit none
   private
   public :: vtkhdf_writer_t, create_vtkhdf, reopen_vtkhdf, hold_vtkhdf_frame, write_vtkhdf, vtkhdf_growth, close_vtkhdf
@@ -61,24 +61,28 @@ module castnet_vtkhdf_writer
 contains
 
   !> Create the group with its topology and no step yet.
-  subroutine create_vtkhdf(vtk, file, model, surface, error)
+  subroutine create_vtkhdf(vtk, file, model, surface, expected, error)
     type(vtkhdf_writer_t), intent(out) :: vtk
     type(hdf5_file_t), intent(inout) :: file
     type(model_t), intent(in) :: model
     type(surface_t), intent(in), optional :: surface  !! of the target, body axes
+    integer(i8), intent(in) :: expected               !! frames that will come, about
     type(error_t), allocatable, intent(inout) :: error
     type(location_t) :: data
+    integer :: n_point
     call measure(vtk, model, surface)
     call make_group(file, file%root, 'VTKHDF', vtk%group, error, entries=most_entries)
     call set_attribute(file, vtk%group%id, 'Version', [2_i8, 0_i8], error)
     call set_fixed_text(file, vtk%group%id, 'Type', 'PolyData', error)
     call write_array(file, vtk%group, 'NumberOfPoints', [int(vtk%n_node + vtk%n_vertex, i8)], '1', error)
-    call create_series(file, vtk%group, 'Points', kind_single, [3], 'm', vtk%points, error, together=vtk%n_node + vtk%n_vertex)
+    n_point = vtk%n_node + vtk%n_vertex
+    call create_series(file, vtk%group, 'Points', kind_single, [3], 'm', vtk%points, error, &
+                       together=n_point*frames_a_chunk(expected, 12_i8*n_point))
     call write_topology(vtk, file, vtk%group, model, surface, error)
     if (vtk%n_cable > 0) then
       call make_group(file, vtk%group, 'CellData', data, error)
       call create_series(file, data, 'tension', kind_single, [integer ::], 'N', vtk%tension, error, &
-                         together=size(vtk%cell))
+                         together=size(vtk%cell)*frames_a_chunk(expected, 4_i8*size(vtk%cell)))
       call close_group(file, data)
     end if
     call create_steps(vtk, file, error)
