@@ -5,25 +5,33 @@
 !> diagonals): the kernel reads both ends with unit stride, no gather. Short gaps are
 !> bridged by phantom cables of no stiffness. A square net is two diagonals (along y,
 !> along z) and four loose corner cables. What does not fit a diagonal is **loose**:
-!> its ends are gathered through an index.
+!> its ends are gathered through an index. Where many cables are loose, most of them are put in layers, of
+!> which only the second ends are gathered (castnet_cable_layers).
 !>
 !> Every diagonal has offset > 0, so that once all cables that begin at or before
 !> node i are known, the force on node i is complete: one sweep over the nodes does
 !> cables, forces and the stage update while the data are in the first cache.
 module castnet_cable_plan
   use castnet_kinds, only: wp
+  use castnet_cable_layers, only: layers_t, arrange_layers, chunk_size
   implicit none
   private
-  public :: cable_plan_t, build_cable_plan, sweep_cost
+  public :: cable_plan_t, build_cable_plan, sweep_cost, chunk_size
 
   integer, parameter :: longest_gap = 8     !! phantom cables in a row; beyond that a new diagonal begins
   integer, parameter :: shortest_run = 16   !! cables that make a diagonal worth its loop
   real(wp), parameter :: never_taut = 1.0e30_wp  !! natural length of a phantom cable [m]
 
-  ! What a sweep costs, in cables of a diagonal (measured: docs/performance.md).
-  real(wp), parameter :: cost_of_loose = 2.5_wp  !! a loose cable
-  real(wp), parameter :: cost_of_other = 1.8_wp  !! a cable of a diagonal beyond the two full ones
+  integer, parameter :: n_full = 2          !! diagonals that the kernel does best (castnet_cable_force)
+  integer, parameter :: worth_layers = 16   !! cables besides diagonals that are worth being put in layers
+  integer, parameter :: common_rank = 4     !! as many arrivals as every fourth node has are gathered in one loop
+
+  ! What a sweep costs, in cables of the full diagonals. Measured; only ratios matter.
+  real(wp), parameter :: cost_of_other = 1.8_wp  !! a cable of a further diagonal
   real(wp), parameter :: cost_of_run = 20.0_wp   !! such a diagonal, besides its cables
+  real(wp), parameter :: cost_of_loose = 2.4_wp  !! a cable in a layer
+  real(wp), parameter :: cost_of_reach = 1.0_wp  !! the same, more, when its ends are far apart in memory
+  integer, parameter :: far_apart = 4096         !! nodes
 
   type :: cable_plan_t
     integer :: n_diagonal = 0
@@ -34,14 +42,17 @@ module castnet_cable_plan
     integer, allocatable :: start(:)           !! (n_diagonal) slot of its first cable
     integer :: n_loose = 0
     integer :: loose_start = 1                 !! slot of the first loose cable
-    integer, allocatable :: loose_a(:), loose_b(:) !! (n_loose) end nodes
+    integer, allocatable :: loose_a(:), loose_b(:) !! (n_loose) end nodes; the same for phantoms
+    integer :: n_layered = 0                   !! so many loose cables come first, in blocks whose first ends follow each other
+    integer, allocatable :: block_start(:)     !! (blocks+1) loose cable that a block begins with
+    integer, allocatable :: block_from(:)      !! (chunks+1) which blocks begin at a chunk's nodes
+    integer, allocatable :: arriving(:, :)     !! (n_node,:) loose cables that end at a node; 0: no more
     integer :: n_loose_node = 0
-    integer, allocatable :: loose_node(:)      !! (n_loose_node) nodes with loose cables, ascending
+    integer, allocatable :: loose_node(:)      !! (n_loose_node) nodes with loose cables that neither says, ascending
     integer, allocatable :: loose_pointer(:)   !! (n_loose_node+1) into loose_entry
     integer, allocatable :: loose_entry(:)     !! loose cable; negative: this node is its second end
     integer :: n_slot = 0                      !! cables and phantoms
     integer, allocatable :: slot_of_cable(:)   !! (n_cable)
-    logical, allocatable :: reversed(:)        !! (n_cable) slot runs from the cable's second node to its first
     real(wp), allocatable :: stiffness(:)      !! (n_slot) k = EA / natural length, 0 for phantoms [N/m]
     real(wp), allocatable :: natural_length(:) !! (n_slot) [m]
     real(wp), allocatable :: damping(:)        !! (n_slot) [N s/m]
@@ -68,14 +79,15 @@ contains
     real(wp), intent(in) :: natural_length(:)      !! [m]
     real(wp), intent(in) :: damping(:)             !! [N s/m]
     type(runs_t) :: runs
+    type(layers_t) :: layers
     integer :: n_cable, i, j, slot, d, c
 
     n_cable = size(cable_nodes, 2)
     call find_runs(n_node, cable_nodes, runs)
-    plan%reversed = cable_nodes(1, :) > cable_nodes(2, :)
+    call longest_first(runs)
+    call drop_dear(runs)
     allocate (plan%slot_of_cable(n_cable))
     plan%n_diagonal = runs%n
-    call longest_first(runs)
     plan%offset = runs%offset(:runs%n)
     plan%first = runs%first(:runs%n)
     plan%last = runs%last(:runs%n)
@@ -87,33 +99,57 @@ contains
       slot = slot + plan%last(d) - plan%first(d) + 1
     end do
     plan%loose_start = slot
-    plan%n_loose = count(runs%run_of == 0)
+    call arrange_loose(n_node, cable_nodes, runs, layers)
+    plan%n_loose = layers%n
+    plan%n_layered = layers%n_layered
     plan%n_slot = slot - 1 + plan%n_loose
     allocate (plan%stiffness(plan%n_slot), source=0.0_wp)
     allocate (plan%damping(plan%n_slot), source=0.0_wp)
     allocate (plan%natural_length(plan%n_slot), source=never_taut)
-    allocate (plan%loose_a(plan%n_loose), plan%loose_b(plan%n_loose))
-
-    slot = plan%loose_start
-    do i = 1, n_cable
-      c = runs%order(i)
+    do c = 1, n_cable
       d = runs%run_of(c)
-      if (d > 0) then
-        plan%slot_of_cable(c) = plan%start(d) + runs%low(c) - plan%first(d)
-      else
-        plan%slot_of_cable(c) = slot
-        plan%loose_a(slot - plan%loose_start + 1) = runs%low(c)
-        plan%loose_b(slot - plan%loose_start + 1) = runs%low(c) + runs%step(c)
-        slot = slot + 1
-      end if
+      if (d > 0) plan%slot_of_cable(c) = plan%start(d) + runs%low(c) - plan%first(d)
+    end do
+    do i = 1, plan%n_loose
+      if (layers%cable(i) > 0) plan%slot_of_cable(layers%cable(i)) = plan%loose_start + i - 1
+    end do
+    do c = 1, n_cable
       j = plan%slot_of_cable(c)
       plan%natural_length(j) = natural_length(c)
       plan%stiffness(j) = axial_stiffness(c)/natural_length(c)
       plan%damping(j) = damping(c)
     end do
     plan%applied_damping = plan%damping
+    call move_alloc(layers%a, plan%loose_a)
+    call move_alloc(layers%b, plan%loose_b)
+    call move_alloc(layers%block_start, plan%block_start)
+    call move_alloc(layers%block_from, plan%block_from)
     call build_loose_incidence(plan, n_node)
   end subroutine build_cable_plan
+
+  !> The cables in no run: in layers where there are many, else by offset and first node.
+  subroutine arrange_loose(n_node, cable_nodes, runs, layers)
+    integer, intent(in) :: n_node
+    integer, intent(in) :: cable_nodes(:, :)
+    type(runs_t), intent(in) :: runs
+    type(layers_t), intent(out) :: layers
+    integer, allocatable :: loose(:)
+    loose = pack(runs%order, runs%run_of(runs%order) == 0)
+    if (size(loose) >= worth_layers) then
+      call arrange_layers(n_node, cable_nodes(:, loose), layers)
+      where (layers%cable > 0)
+        layers%cable = loose(max(1, layers%cable))
+      end where
+    end if
+    if (layers%n_layered > 0) return
+    layers%n = size(loose)
+    layers%a = runs%low(loose)
+    layers%b = runs%low(loose) + runs%step(loose)
+    layers%cable = loose
+    layers%block_start = [1]
+    if (allocated(layers%block_from)) deallocate (layers%block_from)
+    allocate (layers%block_from((n_node + chunk_size - 1)/chunk_size + 1), source=1)
+  end subroutine arrange_loose
 
   !> Cut the cables, sorted by offset and first node, into runs; short ones stay loose. Two cables
   !> between the same nodes cannot share a diagonal, so a repeated first node also ends a run.
@@ -152,19 +188,53 @@ contains
     end do
   end subroutine find_runs
 
-  !> What a sweep over cables that join these nodes costs, in cables of a diagonal.
+  !> Leave diagonals that are better as layers: short ones, and those with many phantoms.
+  subroutine drop_dear(runs)
+    type(runs_t), intent(inout) :: runs
+    integer :: new(0:runs%n), n_real(0:runs%n), d, n, c
+    n_real = 0
+    do c = 1, size(runs%run_of)
+      n_real(runs%run_of(c)) = n_real(runs%run_of(c)) + 1
+    end do
+    new = 0
+    n = 0
+    do d = 1, runs%n
+      if (cost_of_diagonal(runs, d) > cost_of_loose*n_real(d)) cycle
+      n = n + 1
+      new(d) = n
+      runs%offset(n) = runs%offset(d)
+      runs%first(n) = runs%first(d)
+      runs%last(n) = runs%last(d)
+    end do
+    runs%n = n
+    do c = 1, size(runs%run_of)
+      runs%run_of(c) = new(runs%run_of(c))
+    end do
+  end subroutine drop_dear
+
+  pure real(wp) function cost_of_diagonal(runs, d) result(cost)
+    type(runs_t), intent(in) :: runs
+    integer, intent(in) :: d
+    cost = real(runs%last(d) - runs%first(d) + 1, wp)
+    if (d > n_full) cost = cost_of_other*cost + cost_of_run
+  end function cost_of_diagonal
+
+  !> What a sweep over cables that join these nodes costs, in cables of the full diagonals.
   real(wp) function sweep_cost(n_node, cable_nodes) result(cost)
     integer, intent(in) :: n_node
     integer, intent(in) :: cable_nodes(:, :)  !! (2,n_cable)
     type(runs_t) :: runs
-    integer :: d
+    integer :: d, c
     call find_runs(n_node, cable_nodes, runs)
     call longest_first(runs)
-    cost = cost_of_loose*count(runs%run_of == 0)
+    call drop_dear(runs)
+    cost = 0.0_wp
     do d = 1, runs%n
-      associate (slots => real(runs%last(d) - runs%first(d) + 1, wp))
-        cost = cost + merge(slots, cost_of_other*slots + cost_of_run, d <= 2)
-      end associate
+      cost = cost + cost_of_diagonal(runs, d)
+    end do
+    do c = 1, size(runs%run_of)
+      if (runs%run_of(c) == 0) &
+        cost = cost + cost_of_loose + cost_of_reach*min(1.0_wp, real(runs%step(c), wp)/far_apart)
     end do
   end function sweep_cost
 
@@ -172,7 +242,7 @@ contains
   pure subroutine longest_first(runs)
     type(runs_t), intent(inout) :: runs
     integer :: place, d
-    do place = 1, min(2, runs%n)
+    do place = 1, min(n_full, runs%n)
       d = place - 1 + maxloc(runs%last(place:runs%n) - runs%first(place:runs%n), dim=1)
       if (d == place) cycle
       runs%offset([place, d]) = runs%offset([d, place])
@@ -218,21 +288,41 @@ contains
     end do
   end subroutine sort_cables
 
-  !> Which loose cables end at which node, in slot order: the order of the sum.
+  !> Which loose cables end at which node: the order of the sum. First the blocks, then as many arrivals
+  !> as enough nodes have, then what is left, in slot order.
   subroutine build_loose_incidence(plan, n_node)
     type(cable_plan_t), intent(inout) :: plan
     integer, intent(in) :: n_node
-    integer, allocatable :: degree(:), row(:)
-    integer :: i, k
+    integer, allocatable :: degree(:), row(:), arrived(:)
+    integer :: i, k, n_rank
 
-    allocate (degree(n_node), row(n_node), source=0)
+    allocate (degree(n_node), row(n_node), arrived(n_node), source=0)
+    n_rank = 0
+    if (plan%n_layered > 0) then
+      do k = 1, plan%n_loose
+        if (plan%loose_a(k) /= plan%loose_b(k)) arrived(plan%loose_b(k)) = arrived(plan%loose_b(k)) + 1
+      end do
+      do while (common_rank*count(arrived > n_rank) >= n_node)
+        n_rank = n_rank + 1
+      end do
+    end if
+    allocate (plan%arriving(n_node, n_rank), source=0)
+    arrived = 0
     do k = 1, plan%n_loose
-      degree(plan%loose_a(k)) = degree(plan%loose_a(k)) + 1
-      degree(plan%loose_b(k)) = degree(plan%loose_b(k)) + 1
+      associate (a => plan%loose_a(k), b => plan%loose_b(k))
+        if (k > plan%n_layered) degree(a) = degree(a) + 1
+        if (a == b) cycle
+        arrived(b) = arrived(b) + 1
+        if (arrived(b) <= n_rank) then
+          plan%arriving(b, arrived(b)) = k
+        else
+          degree(b) = degree(b) + 1
+        end if
+      end associate
     end do
     plan%n_loose_node = count(degree > 0)
     allocate (plan%loose_node(plan%n_loose_node), plan%loose_pointer(plan%n_loose_node + 1))
-    allocate (plan%loose_entry(2*plan%n_loose))
+    allocate (plan%loose_entry(sum(degree)))
     k = 0
     plan%loose_pointer(1) = 1
     do i = 1, n_node
@@ -242,12 +332,24 @@ contains
       plan%loose_pointer(k + 1) = plan%loose_pointer(k) + degree(i)
       row(i) = plan%loose_pointer(k)
     end do
+    arrived = 0
     do k = 1, plan%n_loose
-      plan%loose_entry(row(plan%loose_a(k))) = k
-      row(plan%loose_a(k)) = row(plan%loose_a(k)) + 1
-      plan%loose_entry(row(plan%loose_b(k))) = -k
-      row(plan%loose_b(k)) = row(plan%loose_b(k)) + 1
+      associate (a => plan%loose_a(k), b => plan%loose_b(k))
+        if (k > plan%n_layered) call enter(a, k)
+        if (a == b) cycle
+        arrived(b) = arrived(b) + 1
+        if (arrived(b) > n_rank) call enter(b, -k)
+      end associate
     end do
+
+  contains
+
+    subroutine enter(node, entry)
+      integer, intent(in) :: node, entry
+      plan%loose_entry(row(node)) = entry
+      row(node) = row(node) + 1
+    end subroutine enter
+
   end subroutine build_loose_incidence
 
 end module castnet_cable_plan

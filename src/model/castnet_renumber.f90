@@ -16,6 +16,7 @@ module castnet_renumber
 
   integer, parameter :: most_cables = 8        !! of a node in a lattice
   integer, parameter :: all_cables = huge(1)
+  real(wp), parameter :: clearly = 0.97_wp     !! what a cheaper order costs, at most, of one that came before
   real(wp), parameter :: good_enough = 1.1_wp  !! cost of a sweep per cable that ends the search
 
 contains
@@ -95,6 +96,7 @@ contains
     if (found()) return
     call new_graph(n, cable_nodes, all_cables, graph)
     call breadth_first(graph, base)
+    call keep_cheaper(base, n, cable_nodes, order, least)
     call new_graph(n, cable_nodes, most_cables, graph)
     call find_lattice(graph, at, patch)
     call fill_gaps(graph, .false., at, patch)
@@ -123,7 +125,6 @@ contains
         call keep_cheaper(by_rows(base, key, patch), n, cable_nodes, order, least)
       end do
     end if
-    call keep_cheaper(base, n, cable_nodes, order, least)
 
   contains
 
@@ -154,7 +155,7 @@ contains
       nodes(:, i) = now(cable_nodes(:, i))
     end do
     cost = sweep_cost(n, nodes)
-    if (cost >= least) return
+    if (cost >= clearly*least) return
     least = cost
     order = other
   end subroutine keep_cheaper

@@ -13,13 +13,12 @@
 !> them into full-width vector code under the release flags.
 module castnet_cable_force
   use castnet_kinds, only: wp
-  use castnet_cable_plan, only: cable_plan_t
+  use castnet_cable_plan, only: cable_plan_t, chunk_size
   implicit none
   private
-  public :: slab_t, chunk_size, new_slabs, slab_halo, chunk_cables, chunk_rest, loose_cables, sum_in_order, survey_cables, &
-            slot_tensions
+  public :: slab_t, chunk_size, new_slabs, slab_halo, chunk_cables, chunk_rest, block_cables, loose_cables, sum_in_order, &
+            survey_cables, slot_tensions
 
-  integer, parameter :: chunk_size = 128  !! nodes; all of a chunk's data stay in the first cache
   integer, parameter :: lanes = 8         !! partial sums of a fixed-order sum
   integer, parameter :: n_full = 2        !! diagonals that every node has room for: all those of a square net
   integer, parameter :: window = 8*chunk_size !! nodes that a slab's forces move on by
@@ -285,14 +284,74 @@ contains
     end do
   end subroutine strided_tension
 
-  !> The same law for loose cables first..last, whose ends are gathered.
+  !> Forces of the loose cables in blocks first..last and the power that their damping takes.
+  subroutine block_cables(plan, first, last, n_pad, x, v, floor_tension, force, power)
+    type(cable_plan_t), intent(in) :: plan
+    integer, intent(in) :: first, last
+    integer, intent(in) :: n_pad
+    real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)
+    real(wp), intent(in) :: floor_tension
+    real(wp), intent(inout) :: force(0:plan%n_loose, 3)  !! on the first end [N]
+    real(wp), intent(inout) :: power(:)                  !! (blocks) [W]
+    real(wp) :: p(chunk_size), total(lanes)
+    integer :: i, k, m, a, slot
+    do i = first, last
+      k = plan%block_start(i)
+      m = plan%block_start(i + 1) - k
+      a = plan%loose_a(k)
+      slot = plan%loose_start + k - 1
+      call half_gathered_tension(m, x(a, 1), x(a, 2), x(a, 3), v(a, 1), v(a, 2), v(a, 3), plan%loose_b(k), n_pad, x, v, &
+                                 plan%stiffness(slot), plan%natural_length(slot), plan%applied_damping(slot), floor_tension, &
+                                 force(k, 1), force(k, 2), force(k, 3), p)
+      if (m < chunk_size) p(m + 1:lanes*((m + lanes - 1)/lanes)) = 0.0_wp
+      total = 0.0_wp
+      do k = 1, m, lanes
+        total = total + p(k:k + lanes - 1)
+      end do
+      power(i) = ((total(1) + total(5)) + (total(2) + total(6))) + ((total(3) + total(7)) + (total(4) + total(8)))
+    end do
+  end subroutine block_cables
+
+  !> The tension law for cables whose first ends follow each other and whose second ends are gathered.
+  pure subroutine half_gathered_tension(m, ax, ay, az, au, av, aw, b, n_pad, x, v, stiffness, natural_length, damping, &
+                                        floor_tension, fx, fy, fz, power)
+    integer, intent(in) :: m, n_pad
+    real(wp), intent(in) :: ax(m), ay(m), az(m), au(m), av(m), aw(m) !! first ends [m], [m/s]
+    integer, intent(in) :: b(m)                                      !! second ends
+    real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)
+    real(wp), intent(in) :: stiffness(m), natural_length(m), damping(m)
+    real(wp), intent(in) :: floor_tension
+    real(wp), intent(out) :: fx(m), fy(m), fz(m)  !! force on the first end [N]
+    real(wp), intent(out) :: power(m)             !! dissipated [W]
+    real(wp) :: dx, dy, dz, length, inverse, rate, spring, tension, stretch
+    integer :: k
+
+    do k = 1, m
+      dx = x(b(k), 1) - ax(k)
+      dy = x(b(k), 2) - ay(k)
+      dz = x(b(k), 3) - az(k)
+      length = sqrt(max(dx*dx + (dy*dy + dz*dz), smallest_square))
+      inverse = 1.0_wp/length
+      stretch = length - natural_length(k)
+      rate = (dx*(v(b(k), 1) - au(k)) + (dy*(v(b(k), 2) - av(k)) + dz*(v(b(k), 3) - aw(k))))*inverse
+      spring = stiffness(k)*stretch
+      tension = merge(max(floor_tension, spring + damping(k)*rate), 0.0_wp, stretch > 0.0_wp)
+      power(k) = merge((tension - spring)*rate, 0.0_wp, stretch > 0.0_wp)
+      tension = tension*inverse
+      fx(k) = tension*dx
+      fy(k) = tension*dy
+      fz(k) = tension*dz
+    end do
+  end subroutine half_gathered_tension
+
+  !> The same law for loose cables first..last, both of whose ends are gathered.
   subroutine loose_cables(plan, first, last, n_pad, x, v, floor_tension, force, power)
     type(cable_plan_t), intent(in) :: plan
     integer, intent(in) :: first, last
     integer, intent(in) :: n_pad
     real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)
     real(wp), intent(in) :: floor_tension
-    real(wp), intent(inout) :: force(plan%n_loose, 3)  !! on the first end [N]
+    real(wp), intent(inout) :: force(0:plan%n_loose, 3)  !! on the first end [N]
     real(wp), intent(inout) :: power(plan%n_loose)     !! dissipated [W]
     real(wp) :: dx, dy, dz, length, inverse, rate, spring, tension, stretch
     integer :: k, a, b, slot
@@ -470,16 +529,16 @@ contains
   end subroutine tensions_of
 
   !> Force on the nodes begin..finish from cables that are in neither of the two full
-  !> diagonals: further diagonals in their order, then loose cables in slot order. `rest` is
+  !> diagonals: further diagonals in their order, then loose cables: blocks, arrivals, the others in slot order. `rest` is
   !> zero where there are none; so it is not written again while it stays so (`clean`).
   subroutine chunk_rest(plan, slab, begin, finish, loose_force, rest, clean)
     type(cable_plan_t), intent(in) :: plan
     type(slab_t), intent(in) :: slab
     integer, intent(in) :: begin, finish
-    real(wp), intent(in) :: loose_force(plan%n_loose, 3)
+    real(wp), intent(in) :: loose_force(0:plan%n_loose, 3)
     real(wp), intent(inout) :: rest(chunk_size, 3) !! [N]
     logical, intent(inout) :: clean
-    integer :: c, d, o, lo, hi, chunk, i
+    integer :: c, d, o, lo, hi, chunk, i, k
 
     if (.not. clean) rest = 0.0_wp
     chunk = (begin - slab%first)/chunk_size + 1
@@ -498,6 +557,20 @@ contains
         if (hi >= lo) call subtract(hi - lo + 1, slab%rest(slab%base(d) + lo - o, c), rest(lo - begin + 1, c))
       end do
     end do
+    if (plan%n_layered > 0) then
+      clean = .false.
+      do i = plan%block_from((begin - 1)/chunk_size + 1), plan%block_from((begin - 1)/chunk_size + 2) - 1
+        k = plan%block_start(i)
+        do c = 1, 3
+          call add(plan%block_start(i + 1) - k, loose_force(k, c), rest(plan%loose_a(k) - begin + 1, c))
+        end do
+      end do
+      do i = 1, size(plan%arriving, 2)
+        do c = 1, 3
+          call subtract_arriving(finish - begin + 1, plan%arriving(begin, i), plan%n_loose, loose_force(0, c), rest(1, c))
+        end do
+      end do
+    end if
     if (slab%loose_from(chunk) == slab%loose_from(chunk + 1)) return
     clean = .false.
     call add_loose(plan, slab%loose_from(chunk), slab%loose_from(chunk + 1) - 1, begin, loose_force, rest)
@@ -525,11 +598,22 @@ contains
     end do
   end subroutine subtract
 
+  !> total = total - force of the cable that arrives; number 0 has none.
+  pure subroutine subtract_arriving(m, arriving, n, force, total)
+    integer, intent(in) :: m, arriving(m), n
+    real(wp), intent(in) :: force(0:n)
+    real(wp), intent(inout) :: total(m)
+    integer :: k
+    do k = 1, m
+      total(k) = total(k) - force(arriving(k))
+    end do
+  end subroutine subtract_arriving
+
   !> The loose cables' share of the force on loose nodes low..high, in the chunk from `begin`.
   subroutine add_loose(plan, low, high, begin, loose_force, force)
     type(cable_plan_t), intent(in) :: plan
     integer, intent(in) :: low, high, begin
-    real(wp), intent(in) :: loose_force(plan%n_loose, 3)
+    real(wp), intent(in) :: loose_force(0:plan%n_loose, 3)
     real(wp), intent(inout) :: force(chunk_size, 3)
     real(wp) :: fx, fy, fz, towards
     integer :: j, p, k, i

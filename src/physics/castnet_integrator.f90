@@ -12,7 +12,7 @@ module castnet_integrator
                                    orbital_acceleration
   use castnet_cable_plan, only: cable_plan_t
   use castnet_cable_force, only: slab_t, chunk_size, new_slabs, slab_halo, chunk_cables, chunk_rest, &
-                                 loose_cables, sum_in_order
+                                 block_cables, loose_cables, sum_in_order
   use castnet_closing_thread, only: impulse_work
   use castnet_extra_force, only: has_extra_force, gather_extra_force
   implicit none
@@ -23,8 +23,9 @@ module castnet_integrator
   !> Scratch of the cable forces.
   type :: cable_work_t
     type(slab_t), allocatable :: slabs(:)
-    real(wp), allocatable :: loose_force(:, :)     !! (n_loose,3) [N]
-    real(wp), allocatable :: loose_power(:)        !! (n_loose) [W]
+    real(wp), allocatable :: loose_force(:, :)     !! (0:n_loose,3), number 0 none [N]
+    real(wp), allocatable :: loose_power(:)        !! (n_loose) of those in no block [W]
+    real(wp), allocatable :: block_power(:)        !! (blocks) [W]
     real(wp), allocatable :: chunk_power(:)        !! (n_chunk) [W]
     real(wp), allocatable :: support_power(:)      !! (n_chunk) done by fixed nodes that are led along, where there are any [W]
     real(wp), allocatable :: weight(:)             !! (n_pad) 1/mass; 1 where a field has already divided [1/kg]
@@ -66,7 +67,8 @@ contains
     n = model%net%n_pad
     associate (plan => model%net%plan)
       call new_slabs(work%cables%slabs, plan, model%net%n_node, n_thread)
-      allocate (work%cables%loose_force(plan%n_loose, 3), work%cables%loose_power(plan%n_loose), source=0.0_wp)
+      allocate (work%cables%loose_force(0:plan%n_loose, 3), work%cables%loose_power(plan%n_loose), &
+                work%cables%block_power(size(plan%block_start) - 1), source=0.0_wp)
     end associate
     allocate (work%cables%chunk_power((n + chunk_size - 1)/chunk_size), source=0.0_wp)
     if (any(model%net%fixed)) allocate (work%cables%support_power((n + chunk_size - 1)/chunk_size), source=0.0_wp)
@@ -342,8 +344,11 @@ contains
       end do
       !$omp end parallel do
     end if
-    power(1) = sum_in_order(size(cables%chunk_power), cables%chunk_power) &
-               + sum_in_order(size(cables%loose_power), cables%loose_power)
+    associate (plan => model%net%plan)
+      power(1) = sum_in_order(size(cables%chunk_power), cables%chunk_power) &
+                 + sum_in_order(plan%n_loose - plan%n_layered, cables%loose_power(plan%n_layered + 1:)) &
+                 + sum_in_order(size(cables%block_power), cables%block_power)
+    end associate
     power(2) = 0.0_wp
     if (allocated(cables%support_power)) power(2) = sum_in_order(size(cables%support_power), cables%support_power)
   end subroutine sweep
@@ -354,20 +359,39 @@ contains
     type(cable_work_t), intent(inout) :: cables
     integer, intent(in) :: n_pad
     real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3), floor_tension
-    integer :: s, n, share
+    integer :: s, n
 
     n = size(cables%slabs)
-    if (n == 1 .or. plan%n_loose < loose_worth_threads) then
-      call loose_cables(plan, 1, plan%n_loose, n_pad, x, v, floor_tension, cables%loose_force, cables%loose_power)
+    if (plan%n_loose < loose_worth_threads) n = 1
+    if (n == 1) then
+      call share(1)
       return
     end if
-    share = (plan%n_loose + n - 1)/n
     !$omp parallel do default(shared) private(s) schedule(static, 1) num_threads(n)
     do s = 1, n
-      call loose_cables(plan, (s - 1)*share + 1, min(s*share, plan%n_loose), n_pad, x, v, floor_tension, &
-                        cables%loose_force, cables%loose_power)
+      call share(s)
     end do
     !$omp end parallel do
+
+  contains
+
+    !> One of n equal parts of the blocks and of the others.
+    subroutine share(part)
+      integer, intent(in) :: part
+      integer :: blocks, single
+      blocks = size(cables%block_power)
+      single = plan%n_loose - plan%n_layered
+      if (blocks > 0) call block_cables(plan, begin(blocks, part), begin(blocks, part + 1) - 1, n_pad, x, v, floor_tension, &
+                                        cables%loose_force, cables%block_power)
+      call loose_cables(plan, plan%n_layered + begin(single, part), plan%n_layered + begin(single, part + 1) - 1, &
+                        n_pad, x, v, floor_tension, cables%loose_force, cables%loose_power)
+    end subroutine share
+
+    integer function begin(all, part)
+      integer, intent(in) :: all, part
+      begin = int(int(all, 8)*(part - 1)/n) + 1
+    end function begin
+
   end subroutine sweep_loose
 
   !> The chunks of one slab.

@@ -174,6 +174,7 @@ contains
     subroutine apply(x, y)
       real(wp), intent(in) :: x(:, :)
       real(wp), intent(out) :: y(:, :)
+      real(wp) :: pull
       integer :: c, d, i, a, b, m, slot
       do c = 1, 3
         do i = 1, n
@@ -190,7 +191,12 @@ contains
           a = plan%loose_a(i)
           b = plan%loose_b(i)
           slot = plan%loose_start + i - 1
-          call add_cables(1, a, b - a, n, plan%n_slot, slot, along, scaled, y)
+          pull = along(slot, 1)*(scaled(a, 1) - scaled(b, 1)) + along(slot, 2)*(scaled(a, 2) - scaled(b, 2)) &
+                 + along(slot, 3)*(scaled(a, 3) - scaled(b, 3))
+          do c = 1, 3
+            y(a, c) = y(a, c) + pull*along(slot, c)
+            y(b, c) = y(b, c) - pull*along(slot, c)
+          end do
         end do
       end associate
       do c = 1, 3
