@@ -10,7 +10,7 @@ module test_contact
   use castnet_contact_response, only: contact_solver_t, resolve_contacts
   use castnet_contact_event, only: contact_work_t, new_contact_work, handle_contacts, detect_contacts
   use castnet_contact_horizon, only: earliest_contact_time
-  use castnet_broad_phase, only: net_box, boxes_apart
+  use castnet_broad_phase, only: net_box
   use contact_cases, only: new_case, add_cables, set_body, momentum, angular_momentum, kinetic_energy, &
                            elastic_energy, centre_of_mass, random_t, uniform, uniform_point, normal_draw, &
                            random_direction, random_quaternion, random_contacts
@@ -52,8 +52,6 @@ contains
       call expect(all(abs(lower - minval(x(1:n, :), 1)) <= 0.0_wp), 'lower corner')
       call expect(all(abs(upper - maxval(x(1:n, :), 1)) <= 0.0_wp), 'upper corner')
     end do
-    call expect(boxes_apart([1.0_wp, 0.0_wp, 0.0_wp], [2.0_wp, 1.0_wp, 1.0_wp], [0.0_wp, 0.0_wp, 0.0_wp], 0.9_wp), 'apart in x')
-    call expect(.not. boxes_apart([1.0_wp, 0.0_wp, 0.0_wp], [2.0_wp, 1.0_wp, 1.0_wp], [0.0_wp, 0.0_wp, 0.0_wp], 1.0_wp), 'touching')
   end subroutine boxes
 
   subroutine detection()

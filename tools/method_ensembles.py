@@ -29,13 +29,13 @@ CABLES = {"contact/detect": "'cables'"}
 
 # name: scene, settings of both, step of rk4, runs of rk4, runs of midpoint
 COMPARISONS = {
-    "rocket": ("rocket_x_0.4", ROCKET, "5e-5", 64, 512),
-    "cubesat": ("cubesat", CUBESAT, "1e-5", 64, 512),
-    "rocket_soft": ("rocket_x_0.4", ROCKET | ROUGH | PLASTIC, "2e-4", 48, 192),
+    "rocket": ("rocket_x_0.4", ROCKET, "5e-5", 256, 512),
+    "cubesat": ("cubesat", CUBESAT, "1e-5", 256, 512),
+    "rocket_soft": ("rocket_x_0.4", ROCKET | ROUGH | PLASTIC, "2e-4", 96, 192),
     "rocket_closing_x": ("rocket_closing_x_1.1", CLOSING, "2e-4", 48, 48),
-    "rocket_cables": ("rocket_x_0.4", ROCKET | CABLES, "2e-4", 48, 192),
-    "cubesat_soft": ("cubesat", CUBESAT | ROUGH | PLASTIC, "3e-5", 48, 96),
-    "cubesat_cables": ("cubesat", CUBESAT | CABLES, "3e-5", 48, 192),
+    "rocket_cables": ("rocket_x_0.4", ROCKET | CABLES, "2e-4", 96, 192),
+    "cubesat_soft": ("cubesat", CUBESAT | ROUGH | PLASTIC, "3e-5", 96, 192),
+    "cubesat_cables": ("cubesat", CUBESAT | CABLES, "3e-5", 96, 192),
 }
 MARGIN = 0.05
 

@@ -9,7 +9,7 @@ module castnet_primitive
   use castnet_constants, only: pi
   implicit none
   private
-  public :: primitive_t, primitive_distance, primitive_volume, primitive_unit_inertia, primitive_extent
+  public :: primitive_t, primitive_distance, primitive_volume, primitive_unit_inertia
   public :: primitive_support
   public :: shape_none, shape_box, shape_cylinder, shape_sphere, shape_capsule, shape_compound, shape_mesh
 
@@ -178,15 +178,6 @@ contains
       inertia = 0.0_wp
     end select
   end function primitive_unit_inertia
-
-  !> Half extents along the solid's own axes [m].
-  pure function primitive_extent(kind, half) result(extent)
-    integer, intent(in) :: kind
-    real(wp), intent(in) :: half(3)
-    real(wp) :: extent(3)
-    extent = half
-    if (kind == shape_sphere .or. kind == shape_capsule) extent(3) = half(3) + half(1)
-  end function primitive_extent
 
   !> The farthest point of the solid along a direction, own axes [m].
   pure function primitive_support(kind, half, direction) result(point)

@@ -7,7 +7,7 @@ module castnet_shape
   use castnet_kinds, only: wp
   use castnet_error, only: error_t, fail, exit_input
   use castnet_primitive, only: primitive_t, primitive_distance, primitive_volume, primitive_unit_inertia, &
-                               primitive_extent, primitive_support, shape_none, shape_box, shape_cylinder, &
+                               primitive_support, shape_none, shape_box, shape_cylinder, &
                                shape_sphere, shape_capsule, shape_compound, shape_mesh
   use castnet_rotation, only: rotation_matrix, normalise_quaternion, multiply, multiply_transposed, congruent
   use castnet_surface, only: surface_t, append_surface, surface_volume, surface_centroid, surface_inertia

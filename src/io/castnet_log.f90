@@ -3,13 +3,12 @@
 !> each 10 %. Colour only on a terminal, and not when NO_COLOR is set.
 module castnet_log
   use castnet_kinds, only: wp
-  use castnet_error, only: error_t
   use castnet_text, only: to_text, duration_text
   use castnet_posix, only: is_terminal, wall_seconds
   use castnet_process_guard, only: print_line, print_error
   implicit none
   private
-  public :: log_t, new_log, log_result, log_note, log_warning, log_error, log_progress, progress_is_due, end_progress
+  public :: log_t, new_log, log_result, log_note, log_warning, log_progress, progress_is_due, end_progress
 
   real(wp), parameter :: redraw_interval = 0.1_wp   !! between two moves of the line [s]
   character(len=1), parameter :: escape = achar(27), return = achar(13)
@@ -63,14 +62,6 @@ contains
     call end_progress(log)
     call write_error(painted(log, '33', 'warning:')//' '//text)
   end subroutine log_warning
-
-  !> Why the program ends: standard error, always.
-  subroutine log_error(log, error)
-    type(log_t), intent(inout) :: log
-    type(error_t), intent(in) :: error
-    call end_progress(log)
-    call write_error(painted(log, '31', 'castnet:')//' '//error%message)
-  end subroutine log_error
 
   !> How far the work is: costs a look at the clock on a terminal, less elsewhere. `text`
   !> says it in the work's own unit ('t = 1.2 s of 3 s').

@@ -13,7 +13,7 @@ module castnet_posix
   public :: path_kind, path_nothing, path_file, path_folder, path_other
   public :: file_size, same_file, may_write, longest_name, longest_path, free_space, reserve_space, release_space
   public :: is_terminal, process_id, process_is_alive, process_start, host_name
-  public :: wall_seconds, time_stamp, peak_memory, physical_memory, default_environment
+  public :: wall_seconds, time_stamp, physical_memory, default_environment
   public :: system_error, clear_system_error, system_words, is_disk_full, is_existing, file_failure
 
   integer, parameter :: path_nothing = 0, path_file = 1, path_folder = 2, path_other = 3
@@ -129,9 +129,6 @@ module castnet_posix
       character(kind=c_char), intent(out) :: text(*)
       integer(c_int), value :: n
     end subroutine castnet_time_stamp
-    integer(c_int64_t) function castnet_peak_memory() bind(c)
-      import :: c_int64_t
-    end function castnet_peak_memory
     integer(c_int64_t) function castnet_physical_memory() bind(c)
       import :: c_int64_t
     end function castnet_physical_memory
@@ -332,12 +329,7 @@ contains
     text = until_zero(buffer)
   end function time_stamp
 
-  !> Most memory that this process has held [bytes].
-  integer(i8) function peak_memory()
-    peak_memory = castnet_peak_memory()
-  end function peak_memory
-
-  !> Memory of the machine, or this process's limit if that is less [bytes].
+  !> Memory of the machine, or the limit of this process or of its job if that is less [bytes].
   integer(i8) function physical_memory()
     physical_memory = castnet_physical_memory()
   end function physical_memory

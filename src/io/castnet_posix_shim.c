@@ -53,8 +53,6 @@ int castnet_install_signals(void)
 /* 0: none, 1: stop (SIGUSR1, SIGTERM, SIGHUP), 2: interrupted (SIGINT) */
 int castnet_stop_request(void) { return stop_signal == 0 ? 0 : stop_signal == SIGINT ? 2 : 1; }
 
-void castnet_clear_stop_request(void) { stop_signal = 0; }
-
 /* ---- files ------------------------------------------------------------------ */
 
 static int write_all(int fd, const char *data, int64_t n)
@@ -321,21 +319,53 @@ void castnet_time_stamp(char *text, int n)
     if (strftime(text, (size_t)n, "%Y-%m-%dT%H:%M:%SZ", &parts) == 0) text[0] = 0;
 }
 
-/* Largest resident memory so far [bytes]. */
-int64_t castnet_peak_memory(void)
+/* The number that a file starts with, or `otherwise`. */
+static int64_t number_in(const char *path, int64_t otherwise)
 {
-    struct rusage use;
-    return getrusage(RUSAGE_SELF, &use) == 0 ? (int64_t)use.ru_maxrss * 1024 : -1;
+    long long number;
+    FILE *file = fopen(path, "re");
+    if (file == NULL) return otherwise;
+    if (fscanf(file, "%lld", &number) != 1) number = otherwise;
+    fclose(file);
+    return number;
 }
 
-/* Memory of the machine [bytes], less if the process is limited. */
+/* The least of what the control groups of this process allow it, a batch system's job among
+ * them [bytes], or `most`. A line of /proc/self/cgroup is number:controllers:path. */
+static int64_t group_memory(int64_t most)
+{
+    char line[2048], path[2200];
+    FILE *groups = fopen("/proc/self/cgroup", "re");
+    if (groups == NULL) return most;
+    while (fgets(line, sizeof line, groups) != NULL) {
+        char *controllers = strchr(line, ':'), *group = controllers ? strchr(controllers + 1, ':') : NULL;
+        if (group == NULL) continue;
+        *group++ = 0;
+        group[strcspn(group, "\n")] = 0;
+        int new_form = controllers[1] == 0;
+        if (!new_form && strstr(controllers + 1, "memory") == NULL) continue;
+        for (;;) {
+            snprintf(path, sizeof path, new_form ? "/sys/fs/cgroup%s/memory.max" : "/sys/fs/cgroup/memory%s/memory.limit_in_bytes",
+                     group);
+            int64_t allowed = number_in(path, most);
+            if (allowed > 0 && allowed < most) most = allowed;
+            char *last = strrchr(group, '/');
+            if (last == NULL) break;
+            *last = 0;
+        }
+    }
+    fclose(groups);
+    return most;
+}
+
+/* Memory of the machine [bytes], less if the process or its job is limited. */
 int64_t castnet_physical_memory(void)
 {
     struct rlimit limit;
     int64_t bytes = (int64_t)sysconf(_SC_PHYS_PAGES) * (int64_t)sysconf(_SC_PAGESIZE);
     if (getrlimit(RLIMIT_AS, &limit) == 0 && limit.rlim_cur != RLIM_INFINITY
         && (int64_t)limit.rlim_cur < bytes) bytes = (int64_t)limit.rlim_cur;
-    return bytes;
+    return group_memory(bytes);
 }
 
 /* Set a variable of the environment unless the user has. */

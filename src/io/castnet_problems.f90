@@ -4,7 +4,7 @@ module castnet_problems
   use castnet_text, only: to_text
   implicit none
   private
-  public :: problem_list_t, join_lines
+  public :: problem_list_t
 
   integer, parameter :: most_reported = 200  !! more than anyone reads; the rest is counted
   integer, parameter :: most_told = 5000     !! then reading may stop: this is no scene
@@ -109,16 +109,5 @@ contains
     if (len(text) > 0) text = text//': '
     text = text//item%text
   end function one_line
-
-  !> Lines of text as one text with line ends between them; trailing blanks go.
-  pure function join_lines(lines) result(text)
-    character(len=*), intent(in) :: lines(:)
-    character(len=:), allocatable :: text
-    integer :: i
-    text = ''
-    do i = 1, size(lines)
-      text = text//trim(lines(i))//new_line('a')
-    end do
-  end function join_lines
 
 end module castnet_problems

@@ -14,7 +14,7 @@ module castnet_scene_check
   use castnet_text_file, only: file_exists
   implicit none
   private
-  public :: check_scene, resolve_scene, finish_scene, place_of_scene_t, net_node_count, net_cable_count
+  public :: check_scene, resolve_scene, finish_scene, place_of_scene_t, net_node_count
 
   !> Where things were said, for the messages: the table of the scene, one per &part,
   !> and the last line of the scene's file for what was never said.
@@ -258,16 +258,6 @@ contains
     nodes = (a + 1)*(b + 1) + (a*(b + 1) + b*(a + 1))*(scene%net%cables_per_side - 1)
     if (allocated(scene%bullets)) nodes = nodes + 4
   end function net_node_count
-
-  !> Cables of a square net, corner cables included.
-  pure real(wp) function net_cable_count(scene) result(cables)
-    type(scene_t), intent(in) :: scene
-    real(wp) :: a, b
-    a = real(scene%net%squares(1), wp)
-    b = real(scene%net%squares(2), wp)
-    cables = (a*(b + 1) + b*(a + 1))*scene%net%cables_per_side
-    if (allocated(scene%bullets)) cables = cables + 4
-  end function net_cable_count
 
   subroutine check_target(scene, place, problems, warnings)
     type(scene_t), intent(in) :: scene

@@ -5,7 +5,7 @@ module castnet_signals
   use castnet_error, only: exit_done, exit_stopped, exit_interrupted
   implicit none
   private
-  public :: install_signal_handlers, stop_request_code, clear_stop_request
+  public :: install_signal_handlers, stop_request_code
 
   interface
     integer(c_int) function castnet_install_signals() bind(c)
@@ -14,8 +14,6 @@ module castnet_signals
     integer(c_int) function castnet_stop_request() bind(c)
       import :: c_int
     end function castnet_stop_request
-    subroutine castnet_clear_stop_request() bind(c)
-    end subroutine castnet_clear_stop_request
   end interface
 
 contains
@@ -40,10 +38,5 @@ contains
       stop_request_code = exit_stopped
     end select
   end function stop_request_code
-
-  !> Forget the request; for tests.
-  subroutine clear_stop_request()
-    call castnet_clear_stop_request()
-  end subroutine clear_stop_request
 
 end module castnet_signals

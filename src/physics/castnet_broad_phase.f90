@@ -6,7 +6,7 @@ module castnet_broad_phase
   use castnet_kinds, only: wp
   implicit none
   private
-  public :: net_box, boxes_apart, box_gap, into_body_axes, outside_box, farthest_and_fastest, parallel_nodes
+  public :: net_box, box_gap, into_body_axes, farthest_and_fastest, parallel_nodes
 
   !> Nodes from which on a thread each is worth a parallel region: one pass costs about
   !> 1 ns a node, a region some microseconds when the machine is shared.
@@ -32,13 +32,6 @@ contains
       upper(c) = most
     end do
   end subroutine net_box
-
-  !> Is the net's box clear of a ball about the body's centre of mass?
-  pure logical function boxes_apart(lower, upper, centre, radius)
-    real(wp), intent(in) :: lower(3), upper(3), centre(3)
-    real(wp), intent(in) :: radius  !! bounding radius and contact threshold together [m]
-    boxes_apart = any(lower > centre + radius) .or. any(upper < centre - radius)
-  end function boxes_apart
 
   !> How far the net's box lies from the box about that ball, along the worst axis [m].
   pure real(wp) function box_gap(lower, upper, centre, radius)
@@ -132,11 +125,5 @@ contains
       outside(i) = merge(v, w, v > w)
     end do
   end subroutine turn_nodes
-
-  !> How far a box of points is outside of the body's box along the worst axis [m].
-  pure real(wp) function outside_box(lower, upper, middle, half)
-    real(wp), intent(in) :: lower(3), upper(3), middle(3), half(3)
-    outside_box = maxval(max(lower - middle, middle - upper) - half)
-  end function outside_box
 
 end module castnet_broad_phase
