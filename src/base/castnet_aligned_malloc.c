@@ -12,7 +12,7 @@
 
 volatile size_t castnet_refused_bytes = 0; /* that were last asked for in vain; 0: never */
 
-#ifdef __GLIBC__
+#if defined(__GLIBC__) && !defined(__SANITIZE_ADDRESS__) /* the sanitizer has its own */
 
 extern void *__libc_malloc(size_t size);
 extern void *__libc_memalign(size_t alignment, size_t size);
