@@ -20,6 +20,7 @@
 !> snaps taut, for which E is taken `energy_margin` times larger.
 module castnet_contact_horizon
   use castnet_kinds, only: wp
+  use castnet_cable_force, only: survey_cables
   use castnet_model, only: model_t, trigger_contact, trigger_time, law_impulse, self_contact_taut, self_contact_impulses
   use castnet_state, only: state_t
   use castnet_net, only: net_t
@@ -29,6 +30,7 @@ module castnet_contact_horizon
   public :: earliest_contact_time
 
   real(wp), parameter :: energy_margin = 1.5_wp
+  integer, parameter :: lanes = 8  !! partial sums, in one order in every build
 
 contains
 
@@ -125,32 +127,42 @@ contains
     integer, intent(in) :: n_pad
     real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)
     real(wp), intent(out) :: drift(3), energy
-    real(wp) :: mass, stretch
-    integer :: i, a, b
+    real(wp) :: part(lanes), largest
+    integer :: i, k
     drift = 0.0_wp
-    if (.not. any(net%fixed)) then
-      mass = 0.0_wp
-      do i = 1, net%n_node
-        mass = mass + net%node_mass(i)
-        drift(1) = drift(1) + net%node_mass(i)*v(i, 1)
-        drift(2) = drift(2) + net%node_mass(i)*v(i, 2)
-        drift(3) = drift(3) + net%node_mass(i)*v(i, 3)
+    if (.not. any(net%fixed)) drift = mean_velocity(net, v)
+    part = 0.0_wp
+    do i = 0, net%n_node - lanes, lanes
+      do k = 1, lanes
+        part(k) = part(k) + merge(0.0_wp, net%node_mass(i + k), net%fixed(i + k))* &
+                  ((v(i + k, 1) - drift(1))**2 + (v(i + k, 2) - drift(2))**2 + (v(i + k, 3) - drift(3))**2)
       end do
-      drift = drift/mass
-    end if
-    energy = 0.0_wp
-    do i = 1, net%n_node
-      if (net%fixed(i)) cycle
-      energy = energy + 0.5_wp*net%node_mass(i)*((v(i, 1) - drift(1))**2 + (v(i, 2) - drift(2))**2 + (v(i, 3) - drift(3))**2)
     end do
-    do i = 1, net%n_cable
-      a = net%cable_nodes(1, i)
-      b = net%cable_nodes(2, i)
-      stretch = max(0.0_wp, length([x(b, 1) - x(a, 1), x(b, 2) - x(a, 2), x(b, 3) - x(a, 3)]) - net%natural_length(i))
-      energy = energy + 0.5_wp*net%axial_stiffness(i)/net%natural_length(i)*stretch*stretch
+    do i = net%n_node - modulo(net%n_node, lanes) + 1, net%n_node
+      part(1) = part(1) + merge(0.0_wp, net%node_mass(i), net%fixed(i))* &
+                ((v(i, 1) - drift(1))**2 + (v(i, 2) - drift(2))**2 + (v(i, 3) - drift(3))**2)
     end do
+    call survey_cables(net%plan, n_pad, x, v, energy, largest)
+    energy = energy + 0.5_wp*(((part(1) + part(2)) + (part(3) + part(4))) + ((part(5) + part(6)) + (part(7) + part(8))))
     energy = energy_margin*energy
   end subroutine net_motion
+
+  !> Of the net's centre of mass [m/s].
+  pure function mean_velocity(net, v) result(mean)
+    type(net_t), intent(in) :: net
+    real(wp), intent(in), contiguous :: v(:, :)
+    real(wp) :: mean(3), mass
+    integer :: i
+    mean = 0.0_wp
+    mass = 0.0_wp
+    do i = 1, net%n_node
+      mass = mass + net%node_mass(i)
+      mean(1) = mean(1) + net%node_mass(i)*v(i, 1)
+      mean(2) = mean(2) + net%node_mass(i)*v(i, 2)
+      mean(3) = mean(3) + net%node_mass(i)*v(i, 3)
+    end do
+    mean = mean/mass
+  end function mean_velocity
 
   !> Acceleration of the target's centre of mass against the net's.
   pure function relative_acceleration(model) result(a)
