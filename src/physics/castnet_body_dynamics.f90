@@ -97,15 +97,16 @@ contains
 
   !> One Runge-Kutta step of the body outside any orbital frame with nothing but its external
   !> force and torque: `body_rate`, `body_advance` and `body_rk4` written out for the one case
-  !> that nearly every step is, to the same bits at a third of the time.
+  !> that nearly every step is, to the same bits at a sixth of the time.
   pure subroutine body_alone(model, body, h, turn)
     type(model_t), intent(in) :: model
     type(body_state_t), intent(inout) :: body
     real(wp), intent(in) :: h                !! [s]
     real(wp), intent(out) :: turn(3)         !! integral of the spin by the step's own rule, body axes [rad]
-    real(wp) :: a, middle, v, s, torque(3), inertia(3, 3), inverse(3, 3)
-    real(wp) :: q(4), w(3), w1(3), w2(3), w3(3), w4(3), q1(4), q2(4), q3(4), q4(4)
-    integer :: c
+    real(wp) :: a, middle, v, s, torque(3), inertia(3, 3), inverse(3, 3), ahead(3)
+    real(wp) :: q(4), q1(4), q2(4), q3(4), q4(4)
+    real(wp) :: x(4), y(4), z(4), x_rate(4), y_rate(4), z_rate(4) !! spin at the four stages, and its rates
+    integer :: c, k
     s = h/6.0_wp
     do c = 1, 3
       a = (0.0_wp + model%target%external_force(c))*model%target%inverse_mass + model%gravity(c)
@@ -117,33 +118,61 @@ contains
     torque = 0.0_wp + model%target%external_torque
     inertia = model%target%inertia
     inverse = model%target%inverse_inertia
+    ahead = [0.5_wp*h, 0.5_wp*h, h]
+    ! The spin needs no attitude: by components first, so that no number waits for a vector of them.
+    x(1) = body%angular_velocity(1)
+    y(1) = body%angular_velocity(2)
+    z(1) = body%angular_velocity(3)
+    do k = 1, 4
+      call spin_rate(x(k), y(k), z(k), x_rate(k), y_rate(k), z_rate(k))
+      if (k == 4) exit
+      x(k + 1) = x(1) + ahead(k)*x_rate(k)
+      y(k + 1) = y(1) + ahead(k)*y_rate(k)
+      z(k + 1) = z(1) + ahead(k)*z_rate(k)
+    end do
     q = body%attitude
-    w = body%angular_velocity
-    call turning(inertia, inverse, torque, q, w, q1, w1)
-    call turning(inertia, inverse, torque, q + (0.5_wp*h)*q1, w + (0.5_wp*h)*w1, q2, w2)
-    call turning(inertia, inverse, torque, q + (0.5_wp*h)*q2, w + (0.5_wp*h)*w2, q3, w3)
-    call turning(inertia, inverse, torque, q + h*q3, w + h*w3, q4, w4)
-    turn = h*(w + h/6.0_wp*(w1 + w2 + w3))
-    body%angular_velocity = w + s*(w1 + 2.0_wp*(w2 + w3) + w4)
+    q1 = attitude_rate(q, x(1), y(1), z(1))
+    q2 = attitude_rate(q + ahead(1)*q1, x(2), y(2), z(2))
+    q3 = attitude_rate(q + ahead(2)*q2, x(3), y(3), z(3))
+    q4 = attitude_rate(q + ahead(3)*q3, x(4), y(4), z(4))
+    turn(1) = h*(x(1) + h/6.0_wp*(x_rate(1) + x_rate(2) + x_rate(3)))
+    turn(2) = h*(y(1) + h/6.0_wp*(y_rate(1) + y_rate(2) + y_rate(3)))
+    turn(3) = h*(z(1) + h/6.0_wp*(z_rate(1) + z_rate(2) + z_rate(3)))
+    body%angular_velocity(1) = x(1) + s*(x_rate(1) + 2.0_wp*(x_rate(2) + x_rate(3)) + x_rate(4))
+    body%angular_velocity(2) = y(1) + s*(y_rate(1) + 2.0_wp*(y_rate(2) + y_rate(3)) + y_rate(4))
+    body%angular_velocity(3) = z(1) + s*(z_rate(1) + 2.0_wp*(z_rate(2) + z_rate(3)) + z_rate(4))
     q = q + s*(q1 + 2.0_wp*(q2 + q3) + q4)
     body%attitude = q/sqrt(q(1)**2 + q(2)**2 + q(3)**2 + q(4)**2)
-  end subroutine body_alone
 
-  !> q' = q (0, w)/2 and w' = I^-1 (t - w x I w).
-  pure subroutine turning(inertia, inverse, torque, q, w, q_rate, w_rate)
-    real(wp), intent(in) :: inertia(3, 3), inverse(3, 3), torque(3), q(4), w(3)
-    real(wp), intent(out) :: q_rate(4), w_rate(3)
-    real(wp) :: h(3), t(3)
-    q_rate(1) = 0.5_wp*(-q(2)*w(1) - q(3)*w(2) - q(4)*w(3))
-    q_rate(2) = 0.5_wp*(q(1)*w(1) + q(3)*w(3) - q(4)*w(2))
-    q_rate(3) = 0.5_wp*(q(1)*w(2) + q(4)*w(1) - q(2)*w(3))
-    q_rate(4) = 0.5_wp*(q(1)*w(3) + q(2)*w(2) - q(3)*w(1))
-    h = product3(inertia, w)
-    t(1) = torque(1) - (w(2)*h(3) - w(3)*h(2))
-    t(2) = torque(2) - (w(3)*h(1) - w(1)*h(3))
-    t(3) = torque(3) - (w(1)*h(2) - w(2)*h(1))
-    w_rate = product3(inverse, t)
-  end subroutine turning
+  contains
+
+    !> w' = I^-1 (t - w x I w).
+    pure subroutine spin_rate(w1, w2, w3, rate1, rate2, rate3)
+      real(wp), intent(in) :: w1, w2, w3
+      real(wp), intent(out) :: rate1, rate2, rate3
+      real(wp) :: h1, h2, h3, t1, t2, t3
+      h1 = inertia(1, 1)*w1 + inertia(1, 2)*w2 + inertia(1, 3)*w3
+      h2 = inertia(2, 1)*w1 + inertia(2, 2)*w2 + inertia(2, 3)*w3
+      h3 = inertia(3, 1)*w1 + inertia(3, 2)*w2 + inertia(3, 3)*w3
+      t1 = torque(1) - (w2*h3 - w3*h2)
+      t2 = torque(2) - (w3*h1 - w1*h3)
+      t3 = torque(3) - (w1*h2 - w2*h1)
+      rate1 = inverse(1, 1)*t1 + inverse(1, 2)*t2 + inverse(1, 3)*t3
+      rate2 = inverse(2, 1)*t1 + inverse(2, 2)*t2 + inverse(2, 3)*t3
+      rate3 = inverse(3, 1)*t1 + inverse(3, 2)*t2 + inverse(3, 3)*t3
+    end subroutine spin_rate
+
+    !> q' = q (0, w)/2.
+    pure function attitude_rate(p, w1, w2, w3) result(rate)
+      real(wp), intent(in) :: p(4), w1, w2, w3
+      real(wp) :: rate(4)
+      rate(1) = 0.5_wp*(-p(2)*w1 - p(3)*w2 - p(4)*w3)
+      rate(2) = 0.5_wp*(p(1)*w1 + p(3)*w3 - p(4)*w2)
+      rate(3) = 0.5_wp*(p(1)*w2 + p(4)*w1 - p(2)*w3)
+      rate(4) = 0.5_wp*(p(1)*w3 + p(2)*w2 - p(3)*w1)
+    end function attitude_rate
+
+  end subroutine body_alone
 
   !> Change of velocity and spin by an impulse and an angular impulse.
   pure subroutine body_kick(target, body, impulse, angular_impulse)

@@ -9,6 +9,8 @@ the newest build here) take turns; least and median of the rounds, ms:
     start        castnet version
     two steps    a run to 3e-3 s: start, set-up, verdict and file
     last state   the run with its first and last state written
+    rows         what 1001 rows of history cost on top of it
+    frames       what 101 frames cost on top of it, without VTK
     all output   the run with the default frames, rows and VTK
     flight       last state less two steps
     study case   one of N captures with nudged nodes in a study: no process, no file of its own
@@ -29,9 +31,12 @@ from castnet_runner import find_castnet  # noqa: E402
 SCENE = ROOT / "input" / "rocket_x_0.4.nml"
 CAPTURE = ["time/method=midpoint", "time/step=0", "time/end_time=10", "output/verdict_times=10"]
 LAST = ["output/frame_interval=10", "output/history_interval=10", "output/vtk=.false."]
+ROWS = ["output/frame_interval=10", "output/history_interval=0.01", "output/vtk=.false."]
+FRAMES = ["output/history_interval=10", "output/vtk=.false."]
 BRIEF = ["time/end_time=3e-3", "output/verdict_times=3e-3"]
 ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1"}
-PARTS = ["start", "two steps", "last state", "all output", "flight", "study case"]
+PARTS = ["start", "two steps", "last state", "rows", "frames", "all output", "flight", "study case"]
+DIFFERENCES = ["rows", "frames", "flight"]
 
 
 def cost(command, folder):
@@ -72,6 +77,8 @@ def main():
                 of["start"].append(cost([program, "version"], folder))
                 of["two steps"].append(capture(program, folder, LAST + BRIEF))
                 of["last state"].append(capture(program, folder, LAST))
+                of["rows"].append(capture(program, folder, ROWS) - of["last state"][-1])
+                of["frames"].append(capture(program, folder, FRAMES) - of["last state"][-1])
                 of["all output"].append(capture(program, folder, []))
                 of["flight"].append(of["last state"][-1] - of["two steps"][-1])
                 of["study case"].append(study(program, folder, arguments.cases))
@@ -79,7 +86,7 @@ def main():
         print(program)
         for part in PARTS:
             # The least difference of two times that vary says nothing.
-            least = "" if part == "flight" else f"least {min(of[part]):6.1f} ms, "
+            least = "" if part in DIFFERENCES else f"least {min(of[part]):6.1f} ms, "
             print(f"    {part:12} {least:18}median {statistics.median(of[part]):6.1f} ms")
 
 
