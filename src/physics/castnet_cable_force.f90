@@ -197,7 +197,7 @@ contains
     real(wp), intent(in) :: floor_tension              !! 0 clamps, -huge does not [N]
     real(wp), intent(out) :: power                     !! [W]
     real(wp) :: p(chunk_size), total(lanes)
-    integer :: d, lo, hi, k, full, chunk, i
+    integer :: d, lo, hi, k, rows, full, chunk, i
 
     total = 0.0_wp
     if (slab%moves) call move_window(slab, begin)
@@ -214,8 +214,9 @@ contains
       end if
       if (hi < lo) cycle
       call diagonal_cables(hi - lo + 1, lo, d, plan, slab, n_pad, x, v, floor_tension, p)
-      if (hi - lo + 1 < chunk_size) p(hi - lo + 2:) = 0.0_wp
-      do k = 1, chunk_size, lanes
+      rows = lanes*((hi - lo + lanes)/lanes)
+      p(hi - lo + 2:rows) = 0.0_wp
+      do k = 1, rows, lanes
         total = total + p(k:k + lanes - 1)
       end do
     end do

@@ -21,7 +21,8 @@ from bench_page import build_bench, put, table
 HERE = os.path.dirname(os.path.abspath(__file__))
 FLAGS = "-O3 -march=native -ffp-contract=off -fno-math-errno -fno-trapping-math -mprefer-vector-width=512".split()
 METHODS = "rk4", "midpoint"
-KINDS = {"shuffled": "square, shuffled", "holes": "square, every 100th cable missing", "hexagonal": "hexagons", "radial": "spider's net"}
+KINDS = {"shuffled": "square, shuffled", "holes": "square, every 100th cable missing", "hexagonal": "hexagons", "radial": "spider's net",
+         "round": "squares in a circle", "triangular": "triangles in a hexagon", "irregular": "irregular"}
 
 
 def run(command):
