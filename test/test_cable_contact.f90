@@ -4,7 +4,7 @@ module test_cable_contact
   use castnet_error, only: error_t
   use castnet_model, only: model_t, contact_t, method_rk4
   use castnet_state, only: state_t, impulse_bins
-  use castnet_shape, only: new_shape
+  use castnet_shape, only: new_shape, new_compound
   use castnet_contact_list, only: contact_list_t, body_inertia_t, impulse_report_t, reserve_contacts
   use castnet_contact_response, only: contact_solver_t, resolve_contacts
   use castnet_contact_event, only: contact_work_t, new_contact_work, handle_contacts
@@ -30,6 +30,7 @@ contains
     call test_case('cables: an event keeps momentum and books its energy', event_ledger)
     call test_case('cables: a sphere that falls through nodes is held by cables', sphere)
     call test_case('cables: the edge of a box rides on a cable', edge)
+    call test_case('cables: a net squeezed between two parts of a body is not thrown about', squeezed)
     call test_case('cables: zero-length and duplicate cables do no harm', odd_cables)
   end subroutine run_test_cable_contact
 
@@ -429,6 +430,72 @@ contains
       call ready(model, state, work, method_rk4, 1.0e-3_wp)
     end subroutine net_of_again
   end subroutine edge
+
+  !> Cables in the corner between a panel's thin edge and the rod that holds it, where places close
+  !> to each other are pushed apart (nodes as in a capture of Envisat, nudged): no event moves a node
+  !> farther than sixteen times the depth of the deepest point (along the way out: over a right angle
+  !> at most sqrt 2 times the distance to a face), and each keeps the common centre of mass. (Without a bound the ends were thrown by a hundred times the depth, once with 5.9 kJ.)
+  subroutine squeezed()
+    real(wp), parameter :: half_spacing = 1.0e-3_wp  !! of the points that the depth is looked for at, at most [m]
+    integer, parameter :: n = 5, nodes(2, 4) = reshape([4, 3, 1, 2, 2, 3, 3, 5], [2, 4])
+    real(wp), parameter :: middle(3, 2) = reshape([0.0_wp, 0.0_wp, 0.0_wp, 8.0_wp, 0.0_wp, 0.0_wp], [3, 2])
+    real(wp), parameter :: size_of(3, 2) = reshape([2.0_wp, 0.25_wp, 0.25_wp, 14.0_wp, 0.1_wp, 5.0_wp], [3, 2])
+    real(wp), parameter :: place(3, n) = reshape([1.20_wp, -1.03_wp, 0.07_wp, 0.93_wp, 0.42_wp, -0.18_wp, 1.005_wp, -0.05_wp, &
+                                                  0.31_wp, 0.11_wp, -0.90_wp, 0.51_wp, 1.13_wp, -0.37_wp, -1.25_wp], [3, n])
+    type(model_t) :: model
+    type(state_t) :: state
+    type(contact_work_t) :: work
+    type(error_t), allocatable :: error
+    type(random_t) :: random
+    real(wp) :: before(n, 3), c(3), depth, farthest, worst
+    integer :: trial, i, deep
+    character(len=80) :: words
+    deep = 0
+    worst = 0.0_wp
+    do trial = 1, 400
+      call new_case(model, state, n, [0.003_wp], 'box', [1.0_wp, 1.0_wp, 1.0_wp], 7000.0_wp, 0.02_wp)
+      call new_compound(model%target%shape, ['box', 'box'], size_of, middle, spread([1.0_wp, 0.0_wp, 0.0_wp, 0.0_wp], 2, 2), error)
+      call set_body(model, 7000.0_wp, [17.0e3_wp, 125.0e3_wp, 129.0e3_wp])
+      call add_cables(model, nodes, 1.5_wp, 1000.0_wp)
+      model%contact%detect_cables = .true.
+      model%contact%restitution = 0.0_wp
+      do i = 1, n
+        state%node_position(i, :) = place(:, i) + 0.1_wp*uniform(random)*random_direction(random)
+      end do
+      before = state%node_position(:n, :)
+      depth = deepest_point()
+      call new_contact_work(work, model)
+      c = centre_of_mass(model, state)
+      call handle_contacts(model, state, work, error)
+      farthest = maxval(norm2(state%node_position(:n, :) - before, 2))
+      if (.not. depth > 1.0e-3_wp) cycle
+      deep = deep + 1
+      worst = max(worst, farthest/depth)
+      call expect(farthest <= 16.0_wp*sqrt(2.0_wp)*(depth + half_spacing), 'no node is moved much farther than the net was deep')
+      call expect_close(centre_of_mass(model, state), c, 'common centre of mass', atol=1.0e-13_wp)
+    end do
+    call expect(deep > 100, 'many lie in the body')
+    write (words, '(i0, a, f0.1, a)') deep, ' events, farthest move ', worst, ' times the depth'
+    call note(words)
+
+  contains
+
+    real(wp) function deepest_point()
+      real(wp) :: q(3), d
+      integer :: e, f, part
+      deepest_point = 0.0_wp
+      do e = 1, size(nodes, 2)
+        do f = 0, 1000
+          do part = 1, 2
+            q = before(nodes(1, e), :) + f/1000.0_wp*(before(nodes(2, e), :) - before(nodes(1, e), :))
+            d = maxval(abs(q - middle(:, part)) - 0.5_wp*size_of(:, part))
+            deepest_point = max(deepest_point, -d)
+          end do
+        end do
+      end do
+    end function deepest_point
+
+  end subroutine squeezed
 
   subroutine odd_cables()
     type(model_t) :: model

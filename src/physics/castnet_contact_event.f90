@@ -14,7 +14,8 @@ module castnet_contact_event
   use castnet_near_list, only: near_list_t, reserve_near, rebuild_near, turned_by
   use castnet_narrow_phase, only: append_nodes, append_cables, set_velocities, mend_normal
   use castnet_contact_response, only: contact_solver_t, reserve_solver, resolve_contacts, resolve_depths
-  use castnet_contact_projection, only: cable_incidence_t, new_incidence, energy_of_moved_cables, move_nodes
+  use castnet_contact_projection, only: cable_incidence_t, new_incidence, energy_of_moved_cables, move_nodes, &
+                                        largest_move
   use castnet_contact_horizon, only: earliest_contact_time
   use castnet_fast_nodes, only: fast_nodes_t, new_fast_nodes, look_for_fast, catch_fast, release_fast
   implicit none
@@ -35,6 +36,11 @@ module castnet_contact_event
   real(wp), parameter :: projection_tolerance = 1.0e-6_wp
 
   !> Scratch of contact handling, allocated once.
+  !> A node is moved at most so many times as far in an event as the deepest point lies deep.
+  !> Where a cable is held from two sides close to each other (in the corner between two parts of
+  !> a body), to have it out at once would be to turn it about that place: its ends would fly.
+  real(wp), parameter :: most_moves = 16.0_wp
+
   type :: contact_work_t
     logical :: acted = .false.                 !! the last call changed velocities or positions
     logical :: acted_beyond = .false.          !! and not only at the nodes of `list`
@@ -47,6 +53,7 @@ module castnet_contact_event
     type(fast_nodes_t) :: fast
     type(impulse_report_t) :: report
     real(wp), allocatable :: y(:, :)           !! (n_pad,3) nodes in body axes, where cables can touch; scratch [m]
+    real(wp), allocatable :: moved(:, :)       !! (3,n_node) scratch of the projection, where cables can touch [m]
     real(wp), allocatable :: outside(:)        !! (n_pad) scratch: of the body's box [m]
     real(wp), allocatable :: node_gap(:)       !! (n_pad) scratch of the narrow phase [m]
   end type contact_work_t
@@ -68,6 +75,7 @@ contains
     call new_fast_nodes(work%fast, model%net%n_node)
     allocate (work%y(model%net%n_pad, 3), work%outside(model%net%n_pad), source=0.0_wp)
     allocate (work%node_gap(model%net%n_pad), source=huge(1.0_wp))
+    if (model%contact%detect_cables) allocate (work%moved(3, model%net%n_node))
   end subroutine new_contact_work
 
   !> Is there anything for impulses to do?
@@ -335,13 +343,22 @@ contains
     type(contact_work_t), intent(inout) :: work
     real(wp), intent(inout) :: r(3, 3)
     type(body_inertia_t) :: body
-    real(wp) :: before, after, shift(6), deepest
+    real(wp) :: before, after, shift(6), deepest, budget, largest
     integer :: pass
     deepest = max(0.0_wp, -minval(work%list%gap(1:work%list%n)))
     if (deepest > 0.0_wp) then
+      budget = most_moves*deepest
       do pass = 1, max_projection
         body = body_inertia(model, r)
         call resolve_depths(body, work%list, work%solver, shift)
+        if (allocated(work%moved)) then
+          largest = largest_move(work%list, work%solver%normal%impulse, work%moved)
+          if (largest > budget) then
+            work%solver%normal%impulse = work%solver%normal%impulse*(budget/largest)
+            shift = shift*(budget/largest)
+          end if
+          budget = budget - largest
+        end if
         associate (net => model%net)
           call energy_of_moved_cables(net, net%n_pad, state%node_position, work%list, work%solver%normal%impulse, &
                                       work%incidence, before)
@@ -358,7 +375,7 @@ contains
         end if
         work%acted = .true.
         call remeasure(model, state, work, r, deepest)
-        if (deepest <= projection_tolerance*model%contact%threshold) exit
+        if (deepest <= projection_tolerance*model%contact%threshold .or. budget <= 0.0_wp) exit
       end do
     end if
     state%tally%deepest_penetration = max(state%tally%deepest_penetration, deepest)

@@ -10,7 +10,8 @@ module castnet_contact_projection
   use castnet_impulse_solver, only: impulse_problem_t
   implicit none
   private
-  public :: cable_incidence_t, new_incidence, energy_of_moved_cables, energy_of_cables_at, move_nodes, set_depths, mass_of
+  public :: cable_incidence_t, new_incidence, energy_of_moved_cables, energy_of_cables_at, move_nodes, largest_move, &
+            set_depths, mass_of
 
   !> The cables at each node, for the elastic energy of those that are moved.
   type :: cable_incidence_t
@@ -138,6 +139,32 @@ contains
       problem%weight(i) = mass_of(problem%inverse_weight(i))
     end do
   end subroutine set_depths
+
+  !> How far the displacements would move any node [m].
+  real(wp) function largest_move(list, moment, move) result(largest)
+    type(contact_list_t), intent(in) :: list
+    real(wp), intent(in) :: moment(:)           !! mass times displacement of each contact [kg m]
+    real(wp), intent(inout) :: move(:, :)       !! (3,n_node) scratch
+    real(wp) :: normal(3)
+    integer :: k, a, b
+    do k = 1, list%n
+      move(:, list%node_a(k)) = 0.0_wp
+      move(:, list%node_b(k)) = 0.0_wp
+    end do
+    largest = 0.0_wp
+    do k = 1, list%n
+      if (.not. moment(k) > 0.0_wp) cycle
+      a = list%node_a(k)
+      b = list%node_b(k)
+      normal = list%normal(k, :)
+      move(:, a) = move(:, a) + list%weight_a(k)*list%inverse_mass_a(k)*moment(k)*normal
+      move(:, b) = move(:, b) + list%share(k)*list%inverse_mass_b(k)*moment(k)*normal
+    end do
+    do k = 1, list%n
+      largest = max(largest, sum(move(:, list%node_a(k))**2), sum(move(:, list%node_b(k))**2))
+    end do
+    largest = sqrt(largest)
+  end function largest_move
 
   !> Move the nodes by their share of the pairs' displacements.
   pure subroutine move_nodes(n_pad, x, list, moment)
