@@ -434,7 +434,8 @@ contains
   !> Cables in the corner between a panel's thin edge and the rod that holds it, where places close
   !> to each other are pushed apart (nodes as in a capture of Envisat, nudged): no event moves a node
   !> farther than sixteen times the depth of the deepest point (along the way out: over a right angle
-  !> at most sqrt 2 times the distance to a face), and each keeps the common centre of mass. (Without a bound the ends were thrown by a hundred times the depth, once with 5.9 kJ.)
+  !> at most sqrt 2 times the distance to a face), and each keeps the common centre of mass. (Without
+  !> a bound the ends were thrown by up to 950 times the depth, in one capture with 5.9 kJ.)
   subroutine squeezed()
     real(wp), parameter :: half_spacing = 1.0e-3_wp  !! of the points that the depth is looked for at, at most [m]
     integer, parameter :: n = 5, nodes(2, 4) = reshape([4, 3, 1, 2, 2, 3, 3, 5], [2, 4])
