@@ -5,7 +5,7 @@
 !>                                                may hold them, about as large
 !>   steps SQUARES METHOD N                       so many steps and no timing, for instruction counts
 !>   capture SCENE [group/key=value ...]          a whole run without files, stage by stage
-!>   memory SQUARES                               a few steps of a large net, bytes per node
+!>   memory SQUARES [KIND]                        a few steps of a large net, bytes per node
 !>   contact                                      microseconds per contact event
 program bench
   use bench_contact, only: time_contacts
@@ -44,7 +44,7 @@ program bench
     call time_contacts()
   case default
     print '(a)', 'bench kernel SQUARES METHOD [THREADS] [KIND] | steps SQUARES METHOD N | '// &
-      'capture SCENE [group/key=value ...] | memory SQUARES | contact'
+      'capture SCENE [group/key=value ...] | memory SQUARES [KIND] | contact'
   end select
 
 contains
@@ -206,15 +206,17 @@ contains
     type(state_t) :: state
     type(work_t) :: work
     type(step_report_t) :: report
-    type(file_net_t), allocatable :: no_file
+    type(file_net_t), allocatable :: net
     type(error_t), allocatable :: error
     integer :: unit, status, i, kilobytes
-    character(len=128) :: line
+    character(len=128) :: line, kind
     real(wp) :: t0, took
 
     call large_shot(whole(2, 1000), 'midpoint', scene)
+    call get_command_argument(3, kind)
+    if (len_trim(kind) > 0) call general_net(trim(kind), whole(2, 1000), scene, net)
     t0 = seconds()
-    call set_up(scene, 1, no_file, model, state, work, report, error)
+    call set_up(scene, 1, net, model, state, work, report, error)
     call stop_on(error)
     took = seconds() - t0
     do i = 1, 5
