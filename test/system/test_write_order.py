@@ -129,7 +129,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="castnet_writes_") as name:
         folder = Path(name).resolve()
         library, log, output = folder / "log_writes.so", folder / "log", folder / "a.h5"
-        done = subprocess.run([os.environ.get("CC", "cc"), "-shared", "-fPIC", "-O1", "-o", library,
+        done = subprocess.run([os.environ.get("CC") or shutil.which("cc") or "gcc", "-shared", "-fPIC", "-O1", "-o", library,
                                Path(__file__).with_name("log_writes.c"), "-ldl"], capture_output=True, text=True, check=False)
         if check("the noting of writes compiles", done.returncode == 0, done.stderr):
             noting = {**os.environ, "LD_PRELOAD": str(library), "CASTNET_WRITE_LOG": str(log), "CASTNET_WRITE_LOG_OF": str(output)}
