@@ -15,7 +15,7 @@ module scenes
   implicit none
   private
   public :: shot, cubesat_shot, parabolic_shot, rocket_shot, build, add_spinning_body
-  public :: net_of, chain, two_masses, ready, fly, mechanical_energy, state_hash, random_numbers, words
+  public :: net_of, chain, two_masses, ready, fly, mechanical_energy, state_hash, random_numbers, permutation, words
 
 contains
 
@@ -234,6 +234,20 @@ contains
       values(i) = 2.0_wp*real(seed, wp)/2147483647.0_wp - 1.0_wp
     end do
   end subroutine random_numbers
+
+  !> 1..n in random order.
+  function permutation(n, seed) result(p)
+    integer, intent(in) :: n
+    integer, intent(inout) :: seed
+    integer :: p(n), i, j, k
+    real(wp) :: r(1)
+    p = [(i, i=1, n)]
+    do i = n, 2, -1
+      call random_numbers(seed, r)
+      j = max(1, min(i, 1 + int(0.5_wp*(r(1) + 1.0_wp)*i)))
+      k = p(i); p(i) = p(j); p(j) = k
+    end do
+  end function permutation
 
   !> A number in a note.
   function words(value) result(text)

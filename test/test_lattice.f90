@@ -9,7 +9,7 @@ module test_lattice
   use castnet_renumber, only: renumber_net
   use castnet_state, only: state_t
   use castnet_stepper, only: work_t
-  use scenes, only: ready, fly, random_numbers, state_hash
+  use scenes, only: ready, fly, random_numbers, permutation, state_hash
   use test_net_builder, only: compare_forces, random_net
   use testing, only: test_case, expect, note
   implicit none
@@ -46,19 +46,6 @@ contains
     allocate (x(n, 3), v(n, 3))
     call random_net(seed, n, other, fixed, x, v, model)
   end subroutine shuffled
-
-  function permutation(n, seed) result(p)
-    integer, intent(in) :: n
-    integer, intent(inout) :: seed
-    integer :: p(n), i, j, k
-    real(wp) :: r(1)
-    p = [(i, i=1, n)]
-    do i = n, 2, -1
-      call random_numbers(seed, r)
-      j = max(1, min(i, 1 + int(0.5_wp*(r(1) + 1.0_wp)*i)))
-      k = p(i); p(i) = p(j); p(j) = k
-    end do
-  end function permutation
 
   subroutine renumbered(cables, n, seed, model, x, v)
     integer, intent(in) :: cables(:, :), n

@@ -7,7 +7,7 @@ module test_renumber
   use castnet_renumber, only: renumber_net, in_original_order
   use castnet_state, only: state_t
   use castnet_stepper, only: work_t
-  use scenes, only: build, cubesat_shot, net_of, ready, fly, random_numbers
+  use scenes, only: build, cubesat_shot, net_of, ready, fly, random_numbers, permutation
   use testing, only: test_case, expect, expect_close
   implicit none
   private
@@ -59,19 +59,6 @@ contains
     state%node_position(node, :) = start%node_position(:n, :)
     state%node_velocity(node, :) = start%node_velocity(:n, :)
   end subroutine shuffled
-
-  function permutation(n, seed) result(p)
-    integer, intent(in) :: n
-    integer, intent(inout) :: seed
-    integer :: p(n), i, j, k
-    real(wp) :: r(1)
-    p = [(i, i=1, n)]
-    do i = n, 2, -1
-      call random_numbers(seed, r)
-      j = max(1, min(i, 1 + int(0.5_wp*(r(1) + 1.0_wp)*i)))
-      k = p(i); p(i) = p(j); p(j) = k
-    end do
-  end function permutation
 
   !> All cables but the four of the corners, and a handful beside them, in few diagonals.
   subroutine lattice()

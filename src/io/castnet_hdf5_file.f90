@@ -32,8 +32,8 @@ module castnet_hdf5_file
   public :: hdf5_file_t, location_t, check, joined, transfer_plan, keep_open, let_go
   public :: start_hdf5, create_hdf5, open_hdf5, flush_file, close_file, file_bytes, is_hdf5
   public :: make_group, open_group, close_group, empty_group, has_entry, remove_entry, rename_entry, link_entry, name_again
-  public :: write_text, write_short_text, write_value, write_array, set_attribute, set_fixed_text, make_scale, attach_scales
-  public :: tell_scales
+  public :: write_text, write_short_text, write_value, write_array, set_attribute, set_fixed_text
+  public :: make_scale, attach_scales, tell_scales
   public :: most_rank, kind_double, kind_single, kind_integer, kind_long, memory_type, file_type, value_bytes
 
   integer, parameter :: kind_double = 1, kind_single = 2, kind_integer = 3, kind_long = 4

@@ -26,6 +26,7 @@ module castnet_run_writer
   use castnet_hdf5_series, only: series_t, create_series, open_series, hold_frames, write_held, truncate_series, close_series, &
                                  growth_bytes
   use castnet_hdf5_reader, only: dataset_t, ask_dataset, read_doubles, read_text
+  use castnet_output_files, only: clear_leftovers
   use castnet_restart_check, only: check_same_scene
   use castnet_static_writer, only: write_static
   use castnet_meta_writer, only: run_info_t, write_meta, continue_meta, first_count, end_meta
@@ -69,6 +70,7 @@ module castnet_run_writer
     real(wp), allocatable :: node(:)              !! scratch: x y z of each node
     integer :: n_node = 0, n_cable = 0
     logical :: published = .true.                 !! the file has the name that others know, OUTPUT.part
+    logical :: fresh = .false.                    !! of a run from its start: checkpoints of that name are an earlier one's
     integer(i8) :: held = 0                       !! frames in memory
     real(wp) :: held_since = 0.0_wp               !! wall time of the first of them [s]
     integer(i8) :: expected = 0                   !! bytes of the whole file, at most
@@ -110,6 +112,7 @@ contains
     if (.not. allocated(error)) writer%expected = file_bytes(writer%file) + needed_bytes(writer, info)
     call check_room(writer, info, error)
     writer%published = .false.
+    writer%fresh = .not. allocated(info%checkpoint)
     if (.not. allocated(error)) return
     call close_quietly(writer)
     ignored = remove_file(path//'.tmp')
@@ -451,7 +454,7 @@ contains
     if (.not. writer%published) call publish(writer, error)
   end subroutine flush_run
 
-  !> Give the file the name that others know.
+  !> Give the file the name that others know; an earlier run's file and checkpoints go only now.
   subroutine publish(writer, error)
     type(run_writer_t), intent(inout) :: writer
     type(error_t), allocatable, intent(inout) :: error
@@ -462,6 +465,7 @@ contains
     if (allocated(error)) return
     writer%file%path = writer%part
     writer%published = .true.
+    if (writer%fresh) call clear_leftovers(writer%path)
   end subroutine publish
 
   !> Write /summary and the status, close, and rename OUTPUT.part to OUTPUT when the run is

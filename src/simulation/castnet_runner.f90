@@ -10,7 +10,7 @@ module castnet_runner
   use castnet_lock, only: lock_t, take_lock, release_lock
   use castnet_log, only: log_t, log_note, log_warning, log_progress, progress_is_due, &
                          end_progress
-  use castnet_output_files, only: check_output, protect_inputs, can_continue, stage_part, clear_leftovers
+  use castnet_output_files, only: check_output, protect_inputs, can_continue, stage_part
   use castnet_posix, only: wall_seconds
   use castnet_process_guard, only: guard_thread
   use castnet_record, only: summary_t, history_row_t
@@ -243,7 +243,6 @@ contains
       end if
     end if
     call open_shown(.false.)
-    if (.not. allocated(error) .and. .not. allocated(options%restart)) call clear_leftovers(options%output)
 
   contains
 
