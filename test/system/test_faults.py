@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 import random
+import resource
 import shutil
 import signal
 import subprocess
@@ -331,6 +332,22 @@ def check_restarts(folder: Path) -> None:
     done = restart(CUBESAT, longer)
     check("restart: a finished run goes on to a later end and is the longer run to the bit",
           done.returncode == 0 and not different(longer, reference), (done.stderr, different(longer, reference)))
+
+
+def check_replacing(folder: Path) -> None:
+    """--force without room for a new file, here by a limit on the length of files: what it would have replaced stands."""
+    output = folder / "replaced.h5"
+    stopped(CUBESAT, output)
+    before = digest(folder)
+    ends = []
+    for length in (4096, 61440, 100000):
+        done = subprocess.run(command(CUBESAT, output, "--force", "--quiet"), capture_output=True, text=True, timeout=300, check=False,
+                              preexec_fn=lambda n=length: resource.setrlimit(resource.RLIMIT_FSIZE, (n, n)))
+        ends.append(done.returncode if short(done) else done.stderr)
+    check("replacing: --force without room: exit code 4", ends == 3*[4], ends)
+    left = digest(folder)
+    check("replacing: the old .part and its checkpoints are there, nothing else", left == before and len(left) == 3,
+          (sorted(before), sorted(left)))
 
 
 def check_damaged_checkpoints(folder: Path) -> None:
@@ -733,7 +750,7 @@ def check_study_disk() -> None:
 def main() -> int:
     with tempfile.TemporaryDirectory(prefix="castnet_faults_") as name:
         for number, part in enumerate((check_files, check_contents, check_locks, check_monitors, check_crash, check_signals, check_restarts,
-                                       check_damaged_checkpoints, check_kills)):
+                                       check_replacing, check_damaged_checkpoints, check_kills)):
             folder = Path(name) / str(number)
             folder.mkdir()
             try:
