@@ -14,15 +14,24 @@ contains
   !> shadow on the plane where that is largest, so no surface spanned in it is smaller.
   pure real(wp) function loop_area(point) result(area)
     real(wp), intent(in) :: point(:, :)  !! (3,n) [m]
-    real(wp) :: a(3), b(3), vector(3)
+    real(wp), dimension(size(point, 2)) :: x, y, z, nx, ny, nz
+    real(wp) :: vector(3)
     integer :: i
+    do i = 1, size(point, 2)           ! about the first point, or far loops lose digits
+      x(i) = point(1, i) - point(1, 1)
+      y(i) = point(2, i) - point(2, 1)
+      z(i) = point(3, i) - point(3, 1)
+    end do
+    do i = 2, size(point, 2) - 1
+      nx(i) = y(i)*z(i + 1) - z(i)*y(i + 1)
+      ny(i) = z(i)*x(i + 1) - x(i)*z(i + 1)
+      nz(i) = x(i)*y(i + 1) - y(i)*x(i + 1)
+    end do
     vector = 0.0_wp
     do i = 2, size(point, 2) - 1
-      a = point(:, i) - point(:, 1)  ! about the first point, or far loops lose digits
-      b = point(:, i + 1) - point(:, 1)
-      vector(1) = vector(1) + (a(2)*b(3) - a(3)*b(2))
-      vector(2) = vector(2) + (a(3)*b(1) - a(1)*b(3))
-      vector(3) = vector(3) + (a(1)*b(2) - a(2)*b(1))
+      vector(1) = vector(1) + nx(i)
+      vector(2) = vector(2) + ny(i)
+      vector(3) = vector(3) + nz(i)
     end do
     area = 0.5_wp*sqrt(vector(1)*vector(1) + vector(2)*vector(2) + vector(3)*vector(3))
   end function loop_area

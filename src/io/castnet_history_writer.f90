@@ -151,16 +151,18 @@ contains
     type(history_writer_t), intent(inout) :: history
     type(hdf5_file_t), intent(inout) :: file
     type(error_t), allocatable, intent(inout) :: error
-    real(wp), allocatable :: column(:)
+    real(wp) :: column(3*block)
     integer(i8) :: counts(block)
-    integer :: i, first, width, n
+    integer :: i, k, first, width, n
     n = history%waiting
     if (n == 0) return
     first = 1
     do i = 1, n_real
       width = real_columns(i)%width
-      column = reshape(history%value(first:first + width - 1, 1:n), [width*n])
-      call append_frames(file, history%reals(i), column, error)
+      do k = 1, n
+        column(width*(k - 1) + 1:width*k) = history%value(first:first + width - 1, k)
+      end do
+      call append_frames(file, history%reals(i), column(1:width*n), error)
       first = first + width
     end do
     do i = 1, n_count

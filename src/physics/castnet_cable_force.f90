@@ -379,76 +379,112 @@ contains
   end subroutine loose_cables
 
   !> Elastic energy of all cables, sum of k (l - l0)**2/2 over the taut ones, and the
-  !> largest tension, in one pass along the plan. A sum for each place in a chunk, folded at
-  !> the end: no cable waits for the one before, and the order is the same in every build.
+  !> largest tension, in one pass along the plan. Sums in lanes, folded at the end: they stay in
+  !> registers, and the order is the same in every build.
   pure subroutine survey_cables(plan, n_pad, x, v, elastic, largest)
     type(cable_plan_t), intent(in) :: plan
     integer, intent(in) :: n_pad
     real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)  !! [m], [m/s]
     real(wp), intent(out) :: elastic                  !! [J]
     real(wp), intent(out) :: largest                  !! 0 when every cable is slack [N]
-    real(wp) :: ends(chunk_size, 12), twice(chunk_size), moment(chunk_size), length(chunk_size)
-    integer :: d, a, b, m, slot, n
+    real(wp) :: ends(chunk_size, 12), part(lanes, 3)
+    integer :: d, a, b, m, slot, n, c
 
-    twice = 0.0_wp
-    moment = 0.0_wp
-    length = 1.0_wp
+    part(:, :2) = 0.0_wp
+    part(:, 3) = 1.0_wp
     do d = 1, plan%n_diagonal
-      do a = plan%first(d), plan%last(d), chunk_size
-        m = min(chunk_size, plan%last(d) - a + 1)
-        b = a + plan%offset(d)
-        slot = plan%start(d) + a - plan%first(d)
-        call survey_chunk(m, x(a, 1), x(a, 2), x(a, 3), x(b, 1), x(b, 2), x(b, 3), &
-                          v(a, 1), v(a, 2), v(a, 3), v(b, 1), v(b, 2), v(b, 3), &
-                          plan%stiffness(slot), plan%natural_length(slot), plan%damping(slot), twice, moment, length)
+      a = plan%first(d)
+      b = a + plan%offset(d)
+      slot = plan%start(d)
+      n = plan%last(d) - a + 1
+      m = lanes*(n/lanes)
+      call survey_lanes(m, x(a, 1), x(a, 2), x(a, 3), x(b, 1), x(b, 2), x(b, 3), &
+                        v(a, 1), v(a, 2), v(a, 3), v(b, 1), v(b, 2), v(b, 3), &
+                        plan%stiffness(slot), plan%natural_length(slot), plan%damping(slot), part)
+      if (m == n) cycle
+      n = n - m
+      do c = 1, 3
+        ends(:n, c) = x(a + m:a + m + n - 1, c)
+        ends(:n, c + 3) = x(b + m:b + m + n - 1, c)
+        ends(:n, c + 6) = v(a + m:a + m + n - 1, c)
+        ends(:n, c + 9) = v(b + m:b + m + n - 1, c)
       end do
+      call survey_ends(plan, slot + m, n, ends, part)
     end do
     do a = 1, plan%n_loose, chunk_size
       m = min(chunk_size, plan%n_loose - a + 1)
-      slot = plan%loose_start + a - 1
       call gather_ends(plan, a, m, n_pad, x, v, ends)
-      call survey_chunk(m, ends(1, 1), ends(1, 2), ends(1, 3), ends(1, 4), ends(1, 5), ends(1, 6), &
-                        ends(1, 7), ends(1, 8), ends(1, 9), ends(1, 10), ends(1, 11), ends(1, 12), &
-                        plan%stiffness(slot), plan%natural_length(slot), plan%damping(slot), twice, moment, length)
+      call survey_ends(plan, plan%loose_start + a - 1, m, ends, part)
     end do
-    n = chunk_size/2
+    n = lanes/2
     do while (n >= 1)
-      call add(n, twice(n + 1), twice)
-      call keep_larger(n, moment(n + 1), length(n + 1), moment, length)
+      call add(n, part(n + 1, 1), part(1, 1))
+      call keep_larger(n, part(n + 1, 2), part(n + 1, 3), part(1, 2), part(1, 3))
       n = n/2
     end do
-    elastic = 0.5_wp*twice(1)
-    largest = moment(1)/length(1)
+    elastic = 0.5_wp*part(1, 1)
+    largest = part(1, 2)/part(1, 3)
   end subroutine survey_cables
+
+  !> The same of m cables whose ends stand side by side: what is missing in the last lanes is
+  !> filled up with cables of no stiffness.
+  pure subroutine survey_ends(plan, slot, m, ends, part)
+    type(cable_plan_t), intent(in) :: plan
+    integer, intent(in) :: slot, m                   !! of the first one; cables
+    real(wp), intent(inout) :: ends(chunk_size, 12)  !! as of `gather_ends`
+    real(wp), intent(inout) :: part(lanes, 3)
+    real(wp) :: law(chunk_size, 3)
+    integer :: full, c
+    full = lanes*((m + lanes - 1)/lanes)
+    law(:m, 1) = plan%stiffness(slot:slot + m - 1)
+    law(:m, 2) = plan%natural_length(slot:slot + m - 1)
+    law(:m, 3) = plan%damping(slot:slot + m - 1)
+    if (m < full) then
+      law(m + 1:full, :) = 0.0_wp
+      do c = 1, 12
+        ends(m + 1:full, c) = 0.0_wp
+      end do
+    end if
+    call survey_lanes(full, ends(1, 1), ends(1, 2), ends(1, 3), ends(1, 4), ends(1, 5), ends(1, 6), &
+                      ends(1, 7), ends(1, 8), ends(1, 9), ends(1, 10), ends(1, 11), ends(1, 12), &
+                      law(1, 1), law(1, 2), law(1, 3), part)
+  end subroutine survey_ends
 
   !> Add twice the elastic energy of m cables to the sums, and keep what is pulled harder than
   !> before. A tension is compared as a fraction, tension times length over length: the
   !> division, half of a cable's time, is left to the end.
-  pure subroutine survey_chunk(m, ax, ay, az, bx, by, bz, au, av, aw, bu, bv, bw, &
-                               stiffness, natural_length, damping, twice, moment, length)
-    integer, intent(in) :: m
+  pure subroutine survey_lanes(m, ax, ay, az, bx, by, bz, au, av, aw, bu, bv, bw, stiffness, natural_length, damping, part)
+    integer, intent(in) :: m                   !! a multiple of lanes: a constant count is what stays in registers
     real(wp), intent(in) :: ax(m), ay(m), az(m), bx(m), by(m), bz(m), au(m), av(m), aw(m), bu(m), bv(m), bw(m)
     real(wp), intent(in) :: stiffness(m), natural_length(m), damping(m)
-    real(wp), intent(inout) :: twice(m)              !! [J]
-    real(wp), intent(inout) :: moment(m), length(m)  !! [N m], [m]
-    real(wp) :: dx, dy, dz, now, stretch, spring, pull
+    real(wp), intent(inout) :: part(lanes, 3)  !! twice the energy [J]; fractions' upper and lower parts [N m], [m]
+    real(wp) :: dx, dy, dz, now, stretch, spring, pull, twice(lanes), moment(lanes), length(lanes)
     logical :: larger
-    integer :: k
+    integer :: i, k
 
-    do k = 1, m
-      dx = bx(k) - ax(k)
-      dy = by(k) - ay(k)
-      dz = bz(k) - az(k)
-      now = sqrt(max(dx*dx + (dy*dy + dz*dz), smallest_square))
-      stretch = max(now - natural_length(k), 0.0_wp)
-      spring = stiffness(k)*stretch
-      twice(k) = twice(k) + spring*stretch
-      pull = spring*now + damping(k)*(dx*(bu(k) - au(k)) + (dy*(bv(k) - av(k)) + dz*(bw(k) - aw(k))))
-      larger = stretch > 0.0_wp .and. pull*length(k) > moment(k)*now
-      moment(k) = merge(pull, moment(k), larger)
-      length(k) = merge(now, length(k), larger)
+    twice = part(:, 1)
+    moment = part(:, 2)
+    length = part(:, 3)
+    do i = 0, m - lanes, lanes
+      do k = 1, lanes
+        dx = bx(i + k) - ax(i + k)
+        dy = by(i + k) - ay(i + k)
+        dz = bz(i + k) - az(i + k)
+        now = sqrt(dx*dx + (dy*dy + dz*dz))
+        stretch = max(now - natural_length(i + k), 0.0_wp)
+        spring = stiffness(i + k)*stretch
+        twice(k) = twice(k) + spring*stretch
+        pull = spring*now + damping(i + k)*(dx*(bu(i + k) - au(i + k)) + (dy*(bv(i + k) - av(i + k)) + dz*(bw(i + k) - aw(i + k))))
+        pull = merge(pull, 0.0_wp, stretch > 0.0_wp)
+        larger = pull*length(k) > moment(k)*now
+        moment(k) = merge(pull, moment(k), larger)
+        length(k) = merge(now, length(k), larger)
+      end do
     end do
-  end subroutine survey_chunk
+    part(:, 1) = twice
+    part(:, 2) = moment
+    part(:, 3) = length
+  end subroutine survey_lanes
 
   !> Of two lists of fractions keep the larger ones.
   pure subroutine keep_larger(m, other_moment, other_length, moment, length)

@@ -351,20 +351,27 @@ contains
     integer, intent(in) :: n                        !! a multiple of lanes
     real(wp), intent(in) :: mass(n), x(n), y(n), z(n), u(n), v(n), w(n)
     real(wp), intent(inout) :: part(lanes, n_sum)
+    real(wp) :: mx, my, mz, mu, mv, mw
     integer :: i, k
     do i = 0, n - lanes, lanes
       do k = 1, lanes
+        mx = mass(i + k)*x(i + k)
+        my = mass(i + k)*y(i + k)
+        mz = mass(i + k)*z(i + k)
+        mu = mass(i + k)*u(i + k)
+        mv = mass(i + k)*v(i + k)
+        mw = mass(i + k)*w(i + k)
         part(k, 1) = part(k, 1) + mass(i + k)
-        part(k, 2) = part(k, 2) + mass(i + k)*x(i + k)
-        part(k, 3) = part(k, 3) + mass(i + k)*y(i + k)
-        part(k, 4) = part(k, 4) + mass(i + k)*z(i + k)
-        part(k, 5) = part(k, 5) + mass(i + k)*u(i + k)
-        part(k, 6) = part(k, 6) + mass(i + k)*v(i + k)
-        part(k, 7) = part(k, 7) + mass(i + k)*w(i + k)
-        part(k, 8) = part(k, 8) + mass(i + k)*(y(i + k)*w(i + k) - z(i + k)*v(i + k))
-        part(k, 9) = part(k, 9) + mass(i + k)*(z(i + k)*u(i + k) - x(i + k)*w(i + k))
-        part(k, 10) = part(k, 10) + mass(i + k)*(x(i + k)*v(i + k) - y(i + k)*u(i + k))
-        part(k, 11) = part(k, 11) + mass(i + k)*(u(i + k)*u(i + k) + v(i + k)*v(i + k) + w(i + k)*w(i + k))
+        part(k, 2) = part(k, 2) + mx
+        part(k, 3) = part(k, 3) + my
+        part(k, 4) = part(k, 4) + mz
+        part(k, 5) = part(k, 5) + mu
+        part(k, 6) = part(k, 6) + mv
+        part(k, 7) = part(k, 7) + mw
+        part(k, 8) = part(k, 8) + (my*w(i + k) - mz*v(i + k))
+        part(k, 9) = part(k, 9) + (mz*u(i + k) - mx*w(i + k))
+        part(k, 10) = part(k, 10) + (mx*v(i + k) - my*u(i + k))
+        part(k, 11) = part(k, 11) + (mu*u(i + k) + mv*v(i + k) + mw*w(i + k))
       end do
     end do
   end subroutine add_nodes

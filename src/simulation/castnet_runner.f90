@@ -139,7 +139,7 @@ contains
     type(run_writer_t) :: writer
     type(due_t) :: due
     character(len=:), allocatable :: status
-    real(wp) :: began, next_wall
+    real(wp) :: began, now, next_wall
     integer :: stop_code, look
 
     began = wall_seconds()
@@ -159,8 +159,9 @@ contains
       if (due%row) call tell_progress(log, sim)
       if (allocated(error) .or. is_finished(sim)) exit
       stop_code = stop_request_code()
-      if (stop_code == exit_done .and. wall_seconds() - began > options%max_wall) stop_code = exit_stopped
-      if (due%checkpoint .or. stop_code /= exit_done .or. wall_seconds() > next_wall) then
+      now = wall_seconds()
+      if (stop_code == exit_done .and. now - began > options%max_wall) stop_code = exit_stopped
+      if (due%checkpoint .or. stop_code /= exit_done .or. now > next_wall) then
         call take_checkpoint(sim, writer, options%output, effective_text, contents, error)
         if (scene%output%checkpoint_wall_interval > 0.0_wp) &
           next_wall = wall_seconds() + scene%output%checkpoint_wall_interval
