@@ -39,6 +39,7 @@ program main
   use verify_catenary, only: run_verify_catenary
   use verify_chain, only: run_verify_chain
   use verify_closing, only: run_verify_closing
+  use verify_thread_flow, only: run_verify_thread_flow
   use verify_contact, only: run_verify_contact
   use verify_environment, only: run_verify_environment
   use verify_free_shot, only: run_verify_free_shot
@@ -84,6 +85,7 @@ program main
   call run_verify_catenary()
   call run_verify_chain()
   call run_verify_closing()
+  call run_verify_thread_flow()
   call run_verify_contact()
   call run_verify_environment()
   call run_verify_free_shot()

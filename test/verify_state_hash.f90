@@ -1,4 +1,4 @@
-!> The bits of three captures, committed: the same in the check and the release build, at
+!> The bits of four captures, committed: the same in the check and the release build, at
 !> any number of threads, on every processor. They are no reference for physics; they say
 !> that a run elsewhere is this run. Who changes the model or the order of a sum changes
 !> them, and says so in the commit.
@@ -33,13 +33,14 @@ module verify_state_hash
     "&target shape = 'cylinder', dimensions = 3.9, 11.047, mass = 8226, position = 2.5, 0, 0, "// &
     "angular_velocity = 0, 0.4, 0 /"//nl//"&contact threshold = 2e-2, restitution = 0.5, friction = 0.3 /"//nl// &
     "&time end_time = 0.9, method = 'rk4', step = 1e-3 /"//nl//"&perturb seed = 3, node_position = 1e-4, bullet_speed = 0.1 /"//nl
-  character(len=*), parameter :: closing = &
+  character(len=*), parameter :: closing_scene = &
     "&net squares = 20, 20, mesh_length = 1.5, cable_diameter = 1e-3 /"//nl// &
     "&bullets mass = 1, speed = 10 /"//nl// &
     "&target shape = 'cylinder', dimensions = 3.9, 11.047, mass = 8226, position = 2.5, 0, 0, "// &
     "angular_velocity = 1.1, 0, 0 /"//nl//"&contact threshold = 2e-2 /"//nl// &
-    "&closing winch_speed = 20, locked_length = 0.5, max_tension = 100, trigger = 'time', delay = 0.3 /"//nl// &
-    "&time end_time = 0.8, method = 'rk4', step = 2e-4 /"//nl
+    "&closing winch_speed = 20, locked_length = 0.5, max_tension = 100, trigger = 'time', delay = 0.3 /"//nl
+  character(len=*), parameter :: closing = closing_scene//"&time end_time = 0.8, method = 'rk4', step = 2e-4 /"//nl
+  character(len=*), parameter :: closing_midpoint = closing_scene//"&time end_time = 0.8, method = 'midpoint', step = 1.5e-3 /"//nl
 
 contains
 
@@ -48,6 +49,7 @@ contains
     call test_case('state_hash: the cubesat''s capture has its bits', test_cubesat)
     call test_case('state_hash: the rocket''s capture with friction has its bits', test_rocket)
     call test_case('state_hash: the closing net has its bits', test_closing)
+    call test_case('state_hash: the closing net has its bits with midpoint', test_closing_midpoint)
   end subroutine run_verify_state_hash
 
   subroutine test_trigonometry()
@@ -72,6 +74,10 @@ contains
   subroutine test_closing()
     call expect_bits(closing, 'closing', (-6503815362887959657_int64))
   end subroutine test_closing
+
+  subroutine test_closing_midpoint()
+    call expect_bits(closing_midpoint, 'closing with midpoint', (-7576249831613717843_int64))
+  end subroutine test_closing_midpoint
 
   subroutine expect_bits(text, name, expected)
     character(len=*), intent(in) :: text, name

@@ -10,6 +10,10 @@
 !>     T = k_t (L - L_r) + c_t dL/dt,  0 <= T <= T_w,  and T = 0 while L <= L_r,
 !>     L_r <- min(L_r, L) - v_w h max(0, 1 - T/T_w)   once a step, never below `locked_length`.
 !>
+!> Here are the ratchet of every method and the force at a stage of `rk4` (and so of
+!> `adaptive`), where dL/dt is that of the stage and c_t part of the stability limit;
+!> `midpoint` takes dL/dt implicitly (castnet_thread_flow).
+!>
 !> - The thread pulls and never pushes: slack (L <= L_r) means T = 0, as for the cables.
 !> - T_w is the winch's stall tension and the slip clutch's at once, so it bounds T also
 !>   when the side is locked: a locked side is a tension-only line of that length that
@@ -31,7 +35,7 @@ module castnet_closing_thread
   use castnet_state, only: state_t, closing_state_t
   implicit none
   private
-  public :: add_thread_force, impulse_work, update_closing, thread_length, thread_tension, thread_weight
+  public :: add_thread_force, impulse_work, update_closing, thread_length, thread_weight, turning_angle
 
   !> Part of a step by which a time may lie short of its due time: rounding.
   real(wp), parameter :: rounding = 1.0e-6_wp
@@ -186,25 +190,14 @@ contains
     end do
   end function thread_length
 
-  !> Tension of side s at the winches, 0 before they pull [N].
-  pure real(wp) function thread_tension(closing, latch, s, position, velocity) result(tension)
-    type(closing_t), intent(in) :: closing
-    type(closing_state_t), intent(in) :: latch
-    integer, intent(in) :: s
-    real(wp), intent(in), contiguous :: position(:, :), velocity(:, :)  !! (n_pad,3) [m], [m/s]
-    real(wp) :: length, rate, turning
-    tension = 0.0_wp
-    if (.not. latch%pulling) return
-    call measure_side(closing, s, size(position, 1), position, velocity, length, rate, turning)
-    tension = thread_law(closing, latch%rest_length(s), length, rate)
-  end function thread_tension
-
   !> Once a step, after the contacts: trigger, start, and wind the ratchet. Also called
   !> once at t = 0, with h = 0, so that what is due then starts then.
-  subroutine update_closing(model, state, h)
+  subroutine update_closing(model, state, h, tension)
     type(model_t), intent(in) :: model
     type(state_t), intent(inout) :: state
-    real(wp), intent(in) :: h  !! step just taken [s]
+    real(wp), intent(in) :: h                     !! step just taken [s]
+    real(wp), intent(in), optional :: tension(:)  !! (side) over that step; else that of the state as it is now [N]
+    real(wp) :: pull
     integer :: s
 
     associate (closing => model%closing, latch => state%closing)
@@ -214,7 +207,13 @@ contains
       end if
       if (latch%pulling) then
         do s = 1, size(closing%path_start) - 1
-          if (.not. latch%locked(s)) call wind_side(closing, latch, s, state%node_position, state%node_velocity, h)
+          if (latch%locked(s)) cycle
+          if (present(tension)) then
+            pull = tension(s)
+          else
+            pull = tension_now(closing, latch%rest_length(s), s, state%node_position, state%node_velocity)
+          end if
+          call wind_side(closing, latch, s, state%node_position, pull, h)
         end do
       else if (state%time >= latch%start_time - rounding*model%step) then
         latch%pulling = .true.
@@ -263,19 +262,28 @@ contains
   end function centre_along_flight
 
   !> L_r <- min(L_r, L) - v_w h max(0, 1 - T/T_w), and lock.
-  subroutine wind_side(closing, latch, s, position, velocity, h)
+  subroutine wind_side(closing, latch, s, position, tension, h)
     type(closing_t), intent(in) :: closing
     type(closing_state_t), intent(inout) :: latch
     integer, intent(in) :: s
-    real(wp), intent(in), contiguous :: position(:, :), velocity(:, :)
+    real(wp), intent(in), contiguous :: position(:, :)
+    real(wp), intent(in) :: tension  !! [N]
     real(wp), intent(in) :: h
-    real(wp) :: length, rate, turning, tension
-    call measure_side(closing, s, size(position, 1), position, velocity, length, rate, turning)
-    tension = thread_law(closing, latch%rest_length(s), length, rate)
-    latch%rest_length(s) = min(latch%rest_length(s), length) &
+    latch%rest_length(s) = min(latch%rest_length(s), thread_length(closing, s, position)) &
                            - closing%winch_speed*h*max(0.0_wp, 1.0_wp - tension/closing%max_tension)
     call lock_if_due(closing, latch, s)
   end subroutine wind_side
+
+  !> Tension of side s at the winches by this position and velocity [N].
+  pure real(wp) function tension_now(closing, rest_length, s, position, velocity) result(tension)
+    type(closing_t), intent(in) :: closing
+    real(wp), intent(in) :: rest_length  !! L_r [m]
+    integer, intent(in) :: s
+    real(wp), intent(in), contiguous :: position(:, :), velocity(:, :)  !! (n_pad,3) [m], [m/s]
+    real(wp) :: length, rate, turning
+    call measure_side(closing, s, size(position, 1), position, velocity, length, rate, turning)
+    tension = thread_law(closing, rest_length, length, rate)
+  end function tension_now
 
   subroutine lock_if_due(closing, latch, s)
     type(closing_t), intent(in) :: closing

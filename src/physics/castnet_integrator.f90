@@ -2,7 +2,9 @@
 !>
 !> Each stage is one sweep over the nodes (castnet_cable_force): tensions, forces and
 !> the stage update chunk by chunk. The net couples to the target within a step only
-!> through `gather_extra_force` (compliant contact); impulses come after the step.
+!> through `gather_extra_force` (compliant contact); impulses come after the step. The closing
+!> threads are such a force with rk4; with midpoint their nodes go through the step again
+!> (castnet_thread_flow).
 module castnet_integrator
   use castnet_kinds, only: wp
   use castnet_model, only: model_t, method_adaptive, method_midpoint
@@ -15,6 +17,7 @@ module castnet_integrator
                                  block_cables, loose_cables, sum_in_order
   use castnet_closing_thread, only: impulse_work
   use castnet_extra_force, only: has_extra_force, gather_extra_force
+  use castnet_thread_flow, only: thread_flow_t, new_thread_flow, begin_threads, finish_threads
   implicit none
   private
   public :: flow_work_t, new_flow_work, rk4_step, midpoint_step, midpoint_begin, midpoint_damping, &
@@ -29,7 +32,7 @@ module castnet_integrator
     real(wp), allocatable :: chunk_power(:)        !! (n_chunk) [W]
     real(wp), allocatable :: support_power(:)      !! (n_chunk) done by fixed nodes that are led along, where there are any [W]
     real(wp), allocatable :: weight(:)             !! (n_pad) 1/mass; 1 where a field has already divided [1/kg]
-    real(wp), allocatable :: thread_impulse(:, :)  !! (n_pad,3) of the closing threads over a step, only with them [N s]
+    real(wp), allocatable :: thread_impulse(:, :)  !! (n_pad,3) of the closing threads over a step of rk4, only with them [N s]
     real(wp), allocatable :: extra(:, :)           !! (n_pad,3) forces besides cables, only where a scene has some [N]
   end type cable_work_t
 
@@ -39,6 +42,7 @@ module castnet_integrator
     real(wp), allocatable :: xa(:, :), xb(:, :)                     !! (n_pad,3) stage positions
     real(wp), allocatable :: va(:, :), vb(:, :), vc(:, :)           !! (n_pad,3) stage velocities: rk4's second, third, fourth
     real(wp), allocatable :: start_x(:, :), start_v(:, :)           !! (n_pad,3) where a step began, 'adaptive' only
+    type(thread_flow_t), allocatable :: threads    !! of midpoint, only with closing threads
     type(body_state_t) :: body_stage               !! the target at the last stage of rk4
     real(wp) :: body_force(3) = 0.0_wp             !! on the target besides external_force, inertial [N]
     real(wp) :: body_torque(3) = 0.0_wp            !! on the target besides external_torque, body axes [N m]
@@ -75,7 +79,14 @@ contains
     work%cables%weight = model%net%inverse_mass
     if (any(model%gravity /= 0.0_wp) .or. model%orbit_rate /= 0.0_wp) work%cables%weight = 1.0_wp
     if (has_extra_force(model)) allocate (work%cables%extra(n, 3), source=0.0_wp)
-    if (allocated(model%closing)) allocate (work%cables%thread_impulse(n, 3), source=0.0_wp)
+    if (allocated(model%closing)) then
+      if (model%method == method_midpoint) then
+        allocate (work%threads)
+        call new_thread_flow(work%threads, model%closing, model%net)
+      else
+        allocate (work%cables%thread_impulse(n, 3), source=0.0_wp)
+      end if
+    end if
     allocate (work%xa(n, 3), work%xb(n, 3), work%vb(n, 3), source=0.0_wp)
     if (model%method /= method_midpoint) allocate (work%va(n, 3), work%vc(n, 3), source=0.0_wp)
     if (model%method == method_adaptive) allocate (work%start_x(n, 3), work%start_v(n, 3), source=0.0_wp)
@@ -170,7 +181,7 @@ contains
     real(wp), intent(in) :: h !! [s]
     type(body_state_t), allocatable :: body
     real(wp) :: power(2)  !! of the cables' damping and of the supports [W]
-    logical :: moves, coupled
+    logical :: moves, coupled, reeled
     integer :: n
 
     moves = .false.
@@ -180,19 +191,21 @@ contains
       n = model%net%n_pad
       if (.not. work%midpoint_ready) work%xa = state%node_position + (0.5_wp*h)*state%node_velocity
       if (coupled) then
-        if (allocated(work%cables%thread_impulse)) work%cables%thread_impulse = 0.0_wp
         if (allocated(state%target)) body = state%target
         if (moves) call body_flow(model, body, 0.5_wp*h, state%ledger%external_work)
         call gather_extra_force(model, n, work%xa, state%velocity_ahead, body, state%closing, &
                                 work%cables%extra, work%body_force, work%body_torque, h, work%cables%thread_impulse, &
                                 state%ledger)
-        call credit_winch(work%cables, state)
       end if
+      reeled = .false.
+      if (allocated(work%threads)) reeled = state%closing%pulling
+      if (reeled) call begin_threads(work%threads, n, h, work%xa, state%node_velocity)
       call sweep(model, work%cables, stage_kick, n, h, work%xa, state%velocity_ahead, &
                  state%node_position, state%node_velocity, work%xb, work%vb, power)
       state%ledger%dissipated = state%ledger%dissipated + h*power(1)
       state%ledger%external_work = state%ledger%external_work + h*power(2)
-      call credit_winch(work%cables, state)
+      if (reeled) call finish_threads(work%threads, model%closing, state%closing, n, h, state%node_velocity, work%xa, &
+                                      work%xb, work%vb, state%ledger%winch_work, state%ledger%external_work)
       call swap(work%xa, work%xb)    ! xa: the next midpoint, xb: this one
       call swap(state%velocity_ahead, work%vb)
       work%midpoint_ready = .true.

@@ -106,18 +106,21 @@ contains
     if (any(net%damping > 0.0_wp)) spectrum%largest_damping_rate = largest_eigenvalue(net, direction, net%damping)
   end subroutine find_spectrum
 
-  !> The same bounds with the closing threads pulling: each adds k_t g g^T to K and
-  !> c_t g g^T to C, which couples all nodes of a side. Largest eigenvalues of sums are at
-  !> most the sums of largest eigenvalues. Left out: the stiffness T/l across a taut piece
+  !> The same bounds with the closing threads pulling: each adds k_t g g^T to K and, but with
+  !> midpoint, which takes it implicitly (castnet_thread_flow), c_t g g^T to C, which couples
+  !> all nodes of a side. Largest eigenvalues of sums are at most the sums of largest
+  !> eigenvalues. Left out: the stiffness T/l across a taut piece
   !> of length l, which has no bound where nodes meet; measured on the rocket's net, the
   !> damping's share sets the limit.
-  subroutine widen_by_thread(spectrum, closing, net)
+  subroutine widen_by_thread(spectrum, closing, net, method)
     type(spectrum_t), intent(inout) :: spectrum
     type(closing_t), intent(in) :: closing
     type(net_t), intent(in) :: net
+    integer, intent(in) :: method
     real(wp) :: weight
     weight = thread_weight(closing, net)
     spectrum%highest_frequency = sqrt(spectrum%highest_frequency**2 + closing%stiffness*weight)
+    if (method == method_midpoint) return
     spectrum%largest_damping_rate = spectrum%largest_damping_rate + closing%damping*weight
   end subroutine widen_by_thread
 

@@ -106,7 +106,7 @@ contains
         ratio = 0.5_wp*report%spectrum%largest_damping_rate/report%spectrum%highest_frequency
       if (allocated(model%closing)) then
         net_limit = report%stable_limit
-        call widen_by_thread(report%spectrum, model%closing, model%net)
+        call widen_by_thread(report%spectrum, model%closing, model%net, model%method)
         report%stable_limit = largest_stable_step(model%method, report%spectrum, memory)
         !$omp critical (castnet_text)
         thread = ' with its closing thread (without it '//to_text(net_limit)//' s)'

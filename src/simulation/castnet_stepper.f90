@@ -92,7 +92,11 @@ contains
     end if
     if (allocated(model%closing)) then
       call settle(model, state, work)
-      call update_closing(model, state, model%step)
+      if (allocated(work%flow%threads)) then
+        call update_closing(model, state, model%step, work%flow%threads%tension)
+      else
+        call update_closing(model, state, model%step)
+      end if
     end if
     if (.not. work%timings%wanted) return
     call system_clock(met)
