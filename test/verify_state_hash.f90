@@ -76,7 +76,7 @@ contains
   end subroutine test_closing
 
   subroutine test_closing_midpoint()
-    call expect_bits(closing_midpoint, 'closing with midpoint', (-7576249831613717843_int64))
+    call expect_bits(closing_midpoint, 'closing with midpoint', 4248801124341574740_int64)
   end subroutine test_closing_midpoint
 
   subroutine expect_bits(text, name, expected)

@@ -23,8 +23,11 @@
 !> twice as hard on a motion as each alone, and 1 - 2 G/(1 + theta G) >= -1 for every G: the
 !> damping is stable at any step.
 !>
-!> n follows from G <= 1 for a typical shape (`thread_weight`). A part costs a twentieth
-!> of what a step costs, and nothing before the winches pull.
+!> n follows from G <= 1 for a typical shape (`thread_weight`). Before the winches pull nothing
+!> of this is done.
+!>
+!> The work of the threads is what the nodes got beyond a: sum m ((v1^2 - v0^2)/2 - a.(x1 - x0))
+!> over the step, exactly, because x moves with the mean of v and v1 in every part.
 module castnet_thread_flow
   use castnet_kinds, only: wp
   use castnet_constants, only: tiny_length
@@ -37,6 +40,7 @@ module castnet_thread_flow
   public :: thread_flow_t, new_thread_flow, begin_threads, finish_threads
 
   integer, parameter :: most_parts = 64   !! of a step
+  integer, parameter :: lanes = 4         !! sums of a side: L, g.v, g.a, g.M^-1 f
 
   !> Scratch of one step. Entries of the paths in a row, one side after the other; a node on
   !> two sides has two entries, which move alike.
@@ -45,9 +49,11 @@ module castnet_thread_flow
     integer, allocatable :: node(:)          !! (path)
     integer, allocatable :: shared(:, :)     !! (2,.) entry, the other entry of the same node
     real(wp), allocatable :: weight(:)       !! (path) 1/mass; 0: fixed [1/kg]
+    real(wp), allocatable :: mass(:)         !! (path) 0 for fixed nodes and for second entries [kg]
     logical :: any_fixed = .false.
     real(wp), allocatable :: x(:, :)         !! (path,3) [m]
     real(wp), allocatable :: v(:, :)         !! (path,3) [m/s]
+    real(wp), allocatable :: x0(:, :)        !! (path,3) at the step's start [m]
     real(wp), allocatable :: v0(:, :)        !! (path,3) at the step's start [m/s]
     real(wp), allocatable :: a(:, :)         !! (path,3) by all but the threads [m/s2]
     real(wp), allocatable :: along(:, :)     !! (0:path,3) unit vector to the next entry, 0 at a side's end
@@ -55,10 +61,10 @@ module castnet_thread_flow
     real(wp), allocatable :: left(:)         !! (0:path) part of the tension that friction leaves there
     real(wp), allocatable :: gradient(:, :)  !! (path,3) g
     real(wp), allocatable :: pull(:, :)      !! (path,3) f
-    real(wp), allocatable :: kick(:, :)      !! (path,3) by the thread of the entry's own side [m/s]
-    real(wp), allocatable :: term(:, :)      !! (path,4) of the sides' sums: g.v, g.a, g.M^-1 f, f.v
+    real(wp), allocatable :: term(:, :)      !! (lanes,path) of the sides' sums
     real(wp), allocatable :: part_tension(:) !! (side) of a part [N]
-    real(wp), allocatable :: yield(:)        !! (side) f.v before a kick [m/s]
+    real(wp), allocatable :: here(:)         !! (path) the same for every entry of the side [N]
+    real(wp), allocatable :: kick(:, :)      !! (path,3) by the thread of the entry's own side [m/s]
     real(wp), allocatable :: tension(:)      !! (side) mean of the last step, at the winches; 0 before they pull [N]
   end type thread_flow_t
 
@@ -76,9 +82,11 @@ contains
     work%node = closing%path_node
     work%weight = net%inverse_mass(closing%path_node)
     work%any_fixed = any(.not. work%weight > 0.0_wp)
+    allocate (work%mass(n), source=0.0_wp)
     k = 0
     do p = 1, n
-      k = k + count(closing%path_node == closing%path_node(p)) - 1
+      k = k + count(work%node == work%node(p)) - 1
+      if (work%weight(p) > 0.0_wp .and. .not. any(work%node(:p - 1) == work%node(p))) work%mass(p) = 1.0_wp/work%weight(p)
     end do
     allocate (work%shared(2, k))
     k = 0
@@ -89,10 +97,10 @@ contains
         work%shared(:, k) = [p, q]
       end do
     end do
-    allocate (work%x(n, 3), work%v(n, 3), work%v0(n, 3), work%a(n, 3), work%along(0:n, 3), work%piece(n), &
-              work%gradient(n, 3), work%pull(n, 3), work%kick(n, 3), work%term(n, 4), source=0.0_wp)
+    allocate (work%x(n, 3), work%v(n, 3), work%x0(n, 3), work%v0(n, 3), work%a(n, 3), work%along(0:n, 3), work%piece(n), &
+              work%gradient(n, 3), work%pull(n, 3), work%term(lanes, n), work%here(n), work%kick(n, 3), source=0.0_wp)
     allocate (work%left(0:n), source=1.0_wp)
-    allocate (work%part_tension(sides), work%yield(sides), work%tension(sides), source=0.0_wp)
+    allocate (work%part_tension(sides), work%tension(sides), source=0.0_wp)
   end subroutine new_thread_flow
 
   !> Before the cables' kick: where the nodes were when the step began.
@@ -106,10 +114,9 @@ contains
     do c = 1, 3
       do p = 1, size(work%node)
         work%v0(p, c) = v(work%node(p), c)
-        work%x(p, c) = x(work%node(p), c) - 0.5_wp*h*work%v0(p, c)
+        work%x0(p, c) = x(work%node(p), c) - 0.5_wp*h*work%v0(p, c)
       end do
     end do
-    work%v = work%v0
   end subroutine begin_threads
 
   !> After the cables' kick: all parts of the step, and what follows from them for the nodes.
@@ -123,27 +130,38 @@ contains
     real(wp), intent(inout) :: x(n_pad, 3)     !! out: the midpoint that h/2 v leads from to the step's end [m]
     real(wp), intent(inout) :: next_x(n_pad, 3)!! out: h/2 v beyond the step's end [m]
     real(wp), intent(inout) :: ahead(n_pad, 3) !! out: the velocity extrapolated there [m/s]
-    real(wp), intent(inout) :: winch_work      !! grows by the work on the nodes, exactly [J]
+    real(wp), intent(inout) :: winch_work      !! grows by the work on the nodes [J]
     real(wp), intent(inout) :: support_work    !! falls by what of it fixed nodes take away [J]
-    real(wp) :: half
-    integer :: n, k, c, p, i
+    real(wp) :: d, half
+    integer :: n, m, k, c, p, i
 
+    m = size(work%node)
     do c = 1, 3
-      do p = 1, size(work%node)
+      do p = 1, m
         work%a(p, c) = (v(work%node(p), c) - work%v0(p, c))/h
       end do
     end do
-    n = parts(work, closing, h)
+    work%x = work%x0
+    work%v = work%v0
     work%tension = 0.0_wp
+    n = parts(work, closing, h)
+    d = h/n
+    call drift(3*m, 0.5_wp*d, work%v, work%x)
     do k = 1, n
-      call advance_part(work, closing, latch, size(work%node), h/n, winch_work, support_work)
+      call find_tensions(work, closing, latch, m, d)
+      call find_kicks(m, d, work%weight, work%here, work%pull, work%kick)
+      call apply_kicks(work, m, d)
+      call drift(3*m, merge(d, 0.5_wp*d, k < n), work%v, work%x)
       work%tension = work%tension + work%part_tension
+      if (work%any_fixed) call credit_supports(work, m, d, winch_work, support_work)
     end do
     work%tension = work%tension/n
+    if (any(work%tension > 0.0_wp)) winch_work = winch_work + gain_of_nodes(m, work%mass, work%x0, work%v0, work%a, &
+                                                                            work%x, work%v)
     ! The sums are those of every other node and of a run that goes on from the state.
     half = 0.5_wp*h
     do c = 1, 3
-      do p = 1, size(work%node)
+      do p = 1, m
         i = work%node(p)
         v(i, c) = work%v(p, c)
         x(i, c) = work%x(p, c) - half*v(i, c)
@@ -161,86 +179,76 @@ contains
     parts = ceiling(min(max(h*closing%damping*work%typical, 1.0_wp), real(most_parts, wp)))
   end function parts
 
-  !> Drift, kick, drift over d.
-  pure subroutine advance_part(work, closing, latch, n, d, winch_work, support_work)
+  pure subroutine drift(n, t, v, x)
+    integer, intent(in) :: n
+    real(wp), intent(in) :: t, v(n)
+    real(wp), intent(inout) :: x(n)
+    integer :: k
+    do k = 1, n
+      x(k) = x(k) + t*v(k)
+    end do
+  end subroutine drift
+
+  !> Shape and tension of every side, amid a part.
+  pure subroutine find_tensions(work, closing, latch, n, d)
     type(thread_flow_t), intent(inout) :: work
     type(closing_t), intent(in) :: closing
     type(closing_state_t), intent(in) :: latch
     integer, intent(in) :: n
     real(wp), intent(in) :: d  !! [s]
-    real(wp), intent(inout) :: winch_work, support_work
-    integer :: s, p, c, k
+    real(wp) :: sums(lanes)
+    integer :: s, last
 
-    call drift(n, 0.5_wp*d, work%v, work%x)
-    call find_shape(work, closing, n)
-    call find_terms(n, work%weight, work%gradient, work%pull, work%v, work%a, work%term)
+    call find_pieces(n, work%x, work%along, work%piece)
     do s = 1, size(work%tension)
-      associate (first => closing%path_start(s), last => closing%path_start(s + 1) - 1)
-        work%part_tension(s) = side_tension(work, closing, latch%rest_length(s), first, last - first + 1, d)
-        work%yield(s) = total(last - first + 1, work%term(first, 4))
-        do c = 1, 3
-          do p = first, last
-            work%kick(p, c) = -(d*work%part_tension(s))*work%weight(p)*work%pull(p, c)
-          end do
-        end do
+      last = closing%path_start(s + 1) - 1
+      work%along(last, :) = 0.0_wp
+      work%piece(last) = 0.0_wp
+      if (closing%ring_friction > 0.0_wp) call find_friction(work, closing%ring_friction, closing%path_start(s), last)
+    end do
+    call find_gradient(n, work%along, work%left, work%gradient, work%pull)
+    call find_terms(n, work%piece, work%weight, work%gradient, work%pull, work%v, work%a, work%term)
+    do s = 1, size(work%tension)
+      associate (first => closing%path_start(s), after => closing%path_start(s + 1))
+        sums = sum_in_order(after - first, work%term(1, first))
+        work%part_tension(s) = tension_of(closing, latch%rest_length(s), d, sums)
+        work%here(first:after - 1) = work%part_tension(s)
       end associate
     end do
-    do c = 1, 3
-      do p = 1, n
-        work%v(p, c) = work%v(p, c) + (d*work%a(p, c) + work%kick(p, c))
-      end do
-      do k = 1, size(work%shared, 2)
-        work%v(work%shared(1, k), c) = work%v(work%shared(1, k), c) + work%kick(work%shared(2, k), c)
-      end do
-    end do
-    call drift(n, 0.5_wp*d, work%v, work%x)
-    call credit_work(work, closing, n, d, winch_work, support_work)
-  end subroutine advance_part
+  end subroutine find_tensions
 
-  pure subroutine drift(n, t, v, x)
+  !> Unit vectors and distances from each entry to the next, across the sides' ends too.
+  pure subroutine find_pieces(n, x, along, piece)
     integer, intent(in) :: n
-    real(wp), intent(in) :: t, v(n, 3)
-    real(wp), intent(inout) :: x(n, 3)
-    integer :: c, p
-    do c = 1, 3
-      do p = 1, n
-        x(p, c) = x(p, c) + t*v(p, c)
-      end do
-    end do
-  end subroutine drift
-
-  !> Pieces, what friction leaves of the tension, gradient and pull of every side.
-  pure subroutine find_shape(work, closing, n)
-    type(thread_flow_t), intent(inout) :: work
-    type(closing_t), intent(in) :: closing
-    integer, intent(in) :: n
-    real(wp) :: scale
-    integer :: s, p, c
-
+    real(wp), intent(in) :: x(n, 3)
+    real(wp), intent(inout) :: along(0:n, 3), piece(n)
+    real(wp) :: t(3), scale
+    integer :: p
     do p = 1, n - 1
-      work%along(p, 1) = work%x(p + 1, 1) - work%x(p, 1)
-      work%along(p, 2) = work%x(p + 1, 2) - work%x(p, 2)
-      work%along(p, 3) = work%x(p + 1, 3) - work%x(p, 3)
-      work%piece(p) = sqrt(work%along(p, 1)**2 + work%along(p, 2)**2 + work%along(p, 3)**2)
+      t(1) = x(p + 1, 1) - x(p, 1)
+      t(2) = x(p + 1, 2) - x(p, 2)
+      t(3) = x(p + 1, 3) - x(p, 3)
+      piece(p) = sqrt(t(1)*t(1) + t(2)*t(2) + t(3)*t(3))
       ! Nodes on top of each other: the vector is short and the force fades out.
-      scale = 1.0_wp/max(work%piece(p), tiny_length)
-      work%along(p, 1) = work%along(p, 1)*scale
-      work%along(p, 2) = work%along(p, 2)*scale
-      work%along(p, 3) = work%along(p, 3)*scale
+      scale = 1.0_wp/max(piece(p), tiny_length)
+      along(p, 1) = t(1)*scale
+      along(p, 2) = t(2)*scale
+      along(p, 3) = t(3)*scale
     end do
-    do s = 1, size(work%tension)
-      p = closing%path_start(s + 1) - 1
-      work%along(p, :) = 0.0_wp
-      work%piece(p) = 0.0_wp
-      if (closing%ring_friction > 0.0_wp) call find_friction(work, closing%ring_friction, closing%path_start(s), p)
-    end do
+  end subroutine find_pieces
+
+  pure subroutine find_gradient(n, along, left, gradient, pull)
+    integer, intent(in) :: n
+    real(wp), intent(in) :: along(0:n, 3), left(0:n)
+    real(wp), intent(inout) :: gradient(n, 3), pull(n, 3)
+    integer :: p, c
     do c = 1, 3
       do p = 1, n
-        work%gradient(p, c) = work%along(p - 1, c) - work%along(p, c)
-        work%pull(p, c) = work%left(p - 1)*work%along(p - 1, c) - work%left(p)*work%along(p, c)
+        gradient(p, c) = along(p - 1, c) - along(p, c)
+        pull(p, c) = left(p - 1)*along(p - 1, c) - left(p)*along(p, c)
       end do
     end do
-  end subroutine find_shape
+  end subroutine find_gradient
 
   !> e^(-mu A) of each piece of the side from entry first to last, A the angles that the thread
   !> has turned from the nearer end.
@@ -262,77 +270,118 @@ contains
   end subroutine find_friction
 
   !> What the sums over a side are made of.
-  pure subroutine find_terms(n, weight, gradient, pull, v, a, term)
+  pure subroutine find_terms(n, piece, weight, gradient, pull, v, a, term)
     integer, intent(in) :: n
-    real(wp), intent(in) :: weight(n), gradient(n, 3), pull(n, 3), v(n, 3), a(n, 3)
-    real(wp), intent(out) :: term(n, 4)
+    real(wp), intent(in) :: piece(n), weight(n), gradient(n, 3), pull(n, 3), v(n, 3), a(n, 3)
+    real(wp), intent(inout) :: term(lanes, n)
     integer :: p
     do p = 1, n
-      term(p, 1) = gradient(p, 1)*v(p, 1) + gradient(p, 2)*v(p, 2) + gradient(p, 3)*v(p, 3)
-      term(p, 2) = gradient(p, 1)*a(p, 1) + gradient(p, 2)*a(p, 2) + gradient(p, 3)*a(p, 3)
-      term(p, 3) = weight(p)*(gradient(p, 1)*pull(p, 1) + gradient(p, 2)*pull(p, 2) + gradient(p, 3)*pull(p, 3))
-      term(p, 4) = pull(p, 1)*v(p, 1) + pull(p, 2)*v(p, 2) + pull(p, 3)*v(p, 3)
+      term(1, p) = piece(p)
+      term(2, p) = gradient(p, 1)*v(p, 1) + gradient(p, 2)*v(p, 2) + gradient(p, 3)*v(p, 3)
+      term(3, p) = gradient(p, 1)*a(p, 1) + gradient(p, 2)*a(p, 2) + gradient(p, 3)*a(p, 3)
+      term(4, p) = weight(p)*(gradient(p, 1)*pull(p, 1) + gradient(p, 2)*pull(p, 2) + gradient(p, 3)*pull(p, 3))
     end do
   end subroutine find_terms
 
-  !> T of the side of m entries from `first` (see above) [N]; slack, L <= L_r: 0.
-  pure real(wp) function side_tension(work, closing, rest_length, first, m, d) result(tension)
-    type(thread_flow_t), intent(in) :: work
+  !> All four sums over n entries, even and odd ones apart.
+  pure function sum_in_order(n, term) result(sums)
+    integer, intent(in) :: n
+    real(wp), intent(in) :: term(lanes, n)
+    real(wp) :: sums(lanes), odd(lanes)
+    integer :: p, k
+    sums = 0.0_wp
+    odd = 0.0_wp
+    do p = 1, n - 1, 2
+      do k = 1, lanes
+        sums(k) = sums(k) + term(k, p)
+        odd(k) = odd(k) + term(k, p + 1)
+      end do
+    end do
+    if (modulo(n, 2) == 1) sums = sums + term(:, n)
+    sums = sums + odd
+  end function sum_in_order
+
+  !> T of a side (see above) [N]; slack, L <= L_r: 0.
+  pure real(wp) function tension_of(closing, rest_length, d, sums) result(tension)
     type(closing_t), intent(in) :: closing
     real(wp), intent(in) :: rest_length  !! L_r [m]
-    integer, intent(in) :: first, m
     real(wp), intent(in) :: d            !! [s]
-    real(wp) :: length, g, theta, rate
+    real(wp), intent(in) :: sums(lanes)
+    real(wp) :: g, theta
     tension = 0.0_wp
-    length = total(m, work%piece(first))
-    if (.not. length > rest_length) return
-    g = d*closing%damping*total(m, work%term(first, 3))
+    if (.not. sums(1) > rest_length) return
+    g = d*closing%damping*sums(4)
     theta = 0.5_wp
     if (g > 2.0_wp) theta = 1.0_wp - 1.0_wp/g
-    rate = total(m, work%term(first, 1)) + theta*d*total(m, work%term(first, 2))
-    tension = (closing%stiffness*(length - rest_length) + closing%damping*rate)/(1.0_wp + theta*g)
-    tension = min(max(tension, 0.0_wp), closing%max_tension)
-  end function side_tension
+    tension = closing%stiffness*(sums(1) - rest_length) + closing%damping*(sums(2) + theta*d*sums(3))
+    tension = min(max(tension/(1.0_wp + theta*g), 0.0_wp), closing%max_tension)
+  end function tension_of
 
-  !> The impulse -d T f times the mean of the velocities before and after the part is the
-  !> kinetic energy that it gave, exactly, however fast the light nodes move.
-  pure subroutine credit_work(work, closing, n, d, winch_work, support_work)
+  pure subroutine find_kicks(n, d, weight, tension, pull, kick)
+    integer, intent(in) :: n
+    real(wp), intent(in) :: d, weight(n), tension(n), pull(n, 3)
+    real(wp), intent(inout) :: kick(n, 3)
+    integer :: p, c
+    do c = 1, 3
+      do p = 1, n
+        kick(p, c) = -((d*tension(p))*weight(p))*pull(p, c)
+      end do
+    end do
+  end subroutine find_kicks
+
+  !> All accelerations over d, and the kicks, of both sides where a node is on two.
+  pure subroutine apply_kicks(work, n, d)
     type(thread_flow_t), intent(inout) :: work
-    type(closing_t), intent(in) :: closing
+    integer, intent(in) :: n
+    real(wp), intent(in) :: d
+    integer :: k, c
+    call add_all(3*n, d, work%a, work%kick, work%v)
+    do c = 1, 3
+      do k = 1, size(work%shared, 2)
+        work%v(work%shared(1, k), c) = work%v(work%shared(1, k), c) + work%kick(work%shared(2, k), c)
+      end do
+    end do
+  end subroutine apply_kicks
+
+  pure subroutine add_all(n, d, a, kick, v)
+    integer, intent(in) :: n
+    real(wp), intent(in) :: d, a(n), kick(n)
+    real(wp), intent(inout) :: v(n)
+    integer :: k
+    do k = 1, n
+      v(k) = v(k) + (d*a(k) + kick(k))
+    end do
+  end subroutine add_all
+
+  !> What fixed nodes, led along, take of the work in a part: the winches do it, the supports
+  !> get it.
+  pure subroutine credit_supports(work, n, d, winch_work, support_work)
+    type(thread_flow_t), intent(in) :: work
     integer, intent(in) :: n
     real(wp), intent(in) :: d
     real(wp), intent(inout) :: winch_work, support_work
-    integer :: s, p
+    real(wp) :: taken
+    integer :: p
+    taken = 0.0_wp
     do p = 1, n
-      work%term(p, 4) = work%pull(p, 1)*work%v(p, 1) + work%pull(p, 2)*work%v(p, 2) + work%pull(p, 3)*work%v(p, 3)
+      if (work%weight(p) > 0.0_wp) cycle
+      taken = taken - d*work%here(p)*(work%pull(p, 1)*work%v(p, 1) + work%pull(p, 2)*work%v(p, 2) + work%pull(p, 3)*work%v(p, 3))
     end do
-    do s = 1, size(work%tension)
-      associate (first => closing%path_start(s), last => closing%path_start(s + 1) - 1)
-        winch_work = winch_work - 0.5_wp*d*work%part_tension(s)*(work%yield(s) + total(last - first + 1, work%term(first, 4)))
-        if (.not. work%any_fixed) cycle
-        do p = first, last
-          if (.not. work%weight(p) > 0.0_wp) support_work = support_work + d*work%part_tension(s)*work%term(p, 4)
-        end do
-      end associate
-    end do
-  end subroutine credit_work
+    winch_work = winch_work + taken
+    support_work = support_work - taken
+  end subroutine credit_supports
 
-  !> Sum of x in four lanes.
-  pure real(wp) function total(n, x)
+  !> Kinetic energy that the nodes got besides the work of their acceleration a [J].
+  pure real(wp) function gain_of_nodes(n, mass, x0, v0, a, x, v) result(gain)
     integer, intent(in) :: n
-    real(wp), intent(in) :: x(n)
-    real(wp) :: lane(4)
-    integer :: i, k
-    lane = 0.0_wp
-    do i = 0, n - 4, 4
-      do k = 1, 4
-        lane(k) = lane(k) + x(i + k)
+    real(wp), intent(in) :: mass(n), x0(n, 3), v0(n, 3), a(n, 3), x(n, 3), v(n, 3)
+    integer :: p, c
+    gain = 0.0_wp
+    do p = 1, n
+      do c = 1, 3
+        gain = gain + mass(p)*(0.5_wp*(v(p, c) - v0(p, c))*(v(p, c) + v0(p, c)) - a(p, c)*(x(p, c) - x0(p, c)))
       end do
     end do
-    do i = n - modulo(n, 4) + 1, n
-      lane(1) = lane(1) + x(i)
-    end do
-    total = (lane(1) + lane(2)) + (lane(3) + lane(4))
-  end function total
+  end function gain_of_nodes
 
 end module castnet_thread_flow
