@@ -196,7 +196,7 @@ contains
         side(n, 13:15) = cross(q, pole)
       end do
     end do
-    side = side(:n, :)
+    if (n < size(side, 1)) side = side(:n, :)
   end subroutine collect_sides
 
   !> Cosine of the angle between a direction and the nearest arc: over the arc's wedge its

@@ -5,8 +5,9 @@ module castnet_hdf5_series
   use, intrinsic :: iso_c_binding, only: c_loc, c_ptr, c_f_pointer, c_int8_t
   use, intrinsic :: ieee_arithmetic, only: ieee_value, ieee_quiet_nan
   use hdf5, only: hid_t, hsize_t, h5screate_simple_f, h5sclose_f, h5sselect_hyperslab_f, h5pcreate_f, h5pset_chunk_f, &
-                  h5pset_fill_value_f, h5pget_chunk_f, h5pclose_f, h5dcreate_f, h5dopen_f, h5dclose_f, h5dwrite_f, &
-                  h5dset_extent_f, h5dget_space_f, h5dget_create_plist_f, h5sget_simple_extent_ndims_f, &
+                  h5pset_fill_value_f, h5pset_fill_time_f, h5d_fill_time_never_f, h5pget_chunk_f, h5pclose_f, h5dcreate_f, &
+                  h5dopen_f, h5dclose_f, h5dwrite_f, h5dset_extent_f, h5dget_space_f, h5dget_create_plist_f, &
+                  h5sget_simple_extent_ndims_f, &
                   h5sget_simple_extent_dims_f, h5s_unlimited_f, h5s_select_set_f, h5p_dataset_create_f
   use castnet_kinds, only: wp, sp, i8
   use castnet_error, only: error_t, fail, exit_file
@@ -15,8 +16,8 @@ module castnet_hdf5_series
   use castnet_posix, only: clear_system_error
   implicit none
   private
-  public :: series_t, create_series, open_series, append_frames, hold_frames, write_held, truncate_series, close_series, &
-            growth_bytes, frames_a_chunk
+  public :: series_t, create_series, open_series, append_frames, hold_frames, next_frames, write_held, &
+            truncate_series, close_series, growth_bytes, frames_a_chunk
 
   !> Chunks of small frames hold about this much, of large ones at most the second [bytes]:
   !> an almost empty file stays small, a long one reads fast. Where it is known how many frames
@@ -47,8 +48,13 @@ module castnet_hdf5_series
 
   !> The same, but into memory, until `write_held`.
   interface hold_frames
-    module procedure hold_doubles, hold_singles, hold_longs
+    module procedure hold_doubles
   end interface hold_frames
+
+  !> Room in memory for the values of the next frames, for the caller to write them there.
+  interface next_frames
+    module procedure next_doubles, next_singles
+  end interface next_frames
 
 contains
 
@@ -88,7 +94,8 @@ contains
   end subroutine create_series
 
   !> The plan of a series: chunks and fill value. Kept for the next of the same kind, as the
-  !> columns of a table are.
+  !> columns of a table are. HDF5 fills no new chunk: it would go through a buffer for that, and
+  !> no length is told before all that it counts is written (castnet_safe_driver.c).
   subroutine creation_plan(file, kind, chunk, plan, status)
     type(hdf5_file_t), intent(inout) :: file
     integer, intent(in) :: kind
@@ -106,6 +113,7 @@ contains
     if (plan >= 0) call h5pclose_f(plan, status)
     call h5pcreate_f(h5p_dataset_create_f, plan, status)
     if (status >= 0) call h5pset_chunk_f(plan, size(chunk), chunk, status)
+    if (status >= 0) call h5pset_fill_time_f(plan, h5d_fill_time_never_f, status)
     if (status >= 0 .and. kind == kind_double) then
       nan_double = ieee_value(nan_double, ieee_quiet_nan)
       call h5pset_fill_value_f(plan, memory_type(kind), c_loc(nan_double), status)
@@ -280,41 +288,54 @@ contains
     call h5sclose_f(space, ignored)
   end subroutine append
 
+  !> A copy of as many frames as the values fill.
   subroutine hold_doubles(file, series, values, error)
     type(hdf5_file_t), intent(inout) :: file
-    type(series_t), intent(inout) :: series
-    real(wp), intent(in), target, contiguous :: values(:)
+    type(series_t), intent(inout), target :: series
+    real(wp), intent(in), contiguous :: values(:)
     type(error_t), allocatable, intent(inout) :: error
-    call hold(file, series, kind_double, size(values, kind=i8), c_loc(values), error)
+    real(wp), pointer, contiguous :: place(:)
+    call next_doubles(file, series, size(values), place, error)
+    if (associated(place)) place = values
   end subroutine hold_doubles
 
-  subroutine hold_singles(file, series, values, error)
+  !> Associated as long as the file is not broken; to be filled before anything else is held.
+  subroutine next_doubles(file, series, n_value, values, error)
     type(hdf5_file_t), intent(inout) :: file
-    type(series_t), intent(inout) :: series
-    real(sp), intent(in), target, contiguous :: values(:)
+    type(series_t), intent(inout), target :: series
+    integer, intent(in) :: n_value
+    real(wp), pointer, contiguous, intent(out) :: values(:)
     type(error_t), allocatable, intent(inout) :: error
-    call hold(file, series, kind_single, size(values, kind=i8), c_loc(values), error)
-  end subroutine hold_singles
+    integer(i8) :: first
+    nullify (values)
+    call make_room(file, series, kind_double, int(n_value, i8), first, error)
+    if (first > 0) call c_f_pointer(c_loc(series%bytes(first)), values, [n_value])
+  end subroutine next_doubles
 
-  subroutine hold_longs(file, series, values, error)
+  !> The same in single precision.
+  subroutine next_singles(file, series, n_value, values, error)
     type(hdf5_file_t), intent(inout) :: file
-    type(series_t), intent(inout) :: series
-    integer(i8), intent(in), target, contiguous :: values(:)
+    type(series_t), intent(inout), target :: series
+    integer, intent(in) :: n_value
+    real(sp), pointer, contiguous, intent(out) :: values(:)
     type(error_t), allocatable, intent(inout) :: error
-    call hold(file, series, kind_long, size(values, kind=i8), c_loc(values), error)
-  end subroutine hold_longs
+    integer(i8) :: first
+    nullify (values)
+    call make_room(file, series, kind_single, int(n_value, i8), first, error)
+    if (first > 0) call c_f_pointer(c_loc(series%bytes(first)), values, [n_value])
+  end subroutine next_singles
 
-  !> Keep a copy of as many frames as the values fill.
-  subroutine hold(file, series, kind, n_value, buffer, error)
+  !> Make room behind what is held for as many frames as the values fill.
+  subroutine make_room(file, series, kind, n_value, first, error)
     type(hdf5_file_t), intent(inout) :: file
     type(series_t), intent(inout) :: series
     integer, intent(in) :: kind
     integer(i8), intent(in) :: n_value
-    type(c_ptr), intent(in) :: buffer
+    integer(i8), intent(out) :: first           !! byte of the first value, 0: there is none
     type(error_t), allocatable, intent(inout) :: error
-    integer(c_int8_t), pointer, contiguous :: given(:)
     integer(c_int8_t), allocatable :: larger(:)
     integer(i8) :: n, frame
+    first = 0
     if (file%broken .or. n_value == 0) return
     frame = product(series%shape(1:series%rank - 1))
     if (kind /= series%kind .or. mod(n_value, frame) /= 0) then
@@ -329,11 +350,10 @@ contains
       larger(:series%held_bytes) = series%bytes(:series%held_bytes)
       call move_alloc(larger, series%bytes)
     end if
-    call c_f_pointer(buffer, given, [n])
-    series%bytes(series%held_bytes + 1:series%held_bytes + n) = given
+    first = series%held_bytes + 1
     series%held_bytes = series%held_bytes + n
     series%held = series%held + n_value/frame
-  end subroutine hold
+  end subroutine make_room
 
   !> Append what is held.
   subroutine write_held(file, series, error)

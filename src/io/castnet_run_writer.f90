@@ -23,8 +23,8 @@ module castnet_run_writer
                            file_size, free_space, file_failure
   use castnet_hdf5_file, only: hdf5_file_t, create_hdf5, open_hdf5, close_file, flush_file, file_bytes, &
                                has_entry, write_array, make_scale, attach_scales, tell_scales, kind_double
-  use castnet_hdf5_series, only: series_t, create_series, open_series, hold_frames, write_held, truncate_series, close_series, &
-                                 growth_bytes
+  use castnet_hdf5_series, only: series_t, create_series, open_series, hold_frames, next_frames, write_held, truncate_series, &
+                                 close_series, growth_bytes
   use castnet_hdf5_reader, only: dataset_t, ask_dataset, read_doubles, read_text
   use castnet_output_files, only: clear_leftovers
   use castnet_restart_check, only: check_same_scene
@@ -67,7 +67,6 @@ module castnet_run_writer
     type(history_writer_t), allocatable :: history
     type(vtkhdf_writer_t), allocatable :: vtk
     type(surface_t), allocatable :: surface
-    real(wp), allocatable :: node(:)              !! scratch: x y z of each node
     integer :: n_node = 0, n_cable = 0
     logical :: published = .true.                 !! the file has the name that others know, OUTPUT.part
     logical :: fresh = .false.                    !! of a run from its start: checkpoints of that name are an earlier one's
@@ -219,7 +218,6 @@ contains
       writer%has(s_tension) = writer%n_cable > 0
     end if
     if (allocated(model%target)) writer%has([s_position, s_velocity, s_attitude, s_rate]) = .true.
-    allocate (writer%node(3*writer%n_node))
   end subroutine prepare
 
   ! ---- what stands from the start -------------------------------------------------
@@ -374,7 +372,7 @@ contains
   !> Take in a frame: it goes to the file when `write_when_due` finds that it is time, with
   !> the next checkpoint, or at the end. Errors: exit_file; the frames before stay readable.
   subroutine write_frame(writer, model, state, cable_tension, error)
-    type(run_writer_t), intent(inout) :: writer
+    type(run_writer_t), intent(inout), target :: writer
     type(model_t), intent(in) :: model
     type(state_t), intent(in) :: state
     real(wp), intent(in), contiguous :: cable_tension(:) !! (n_cable) [N]
@@ -405,11 +403,15 @@ contains
     subroutine hold_net(k, values)
       integer, intent(in) :: k
       real(wp), intent(in) :: values(:, :)        !! (n_pad,3)
+      real(wp), pointer, contiguous :: node(:)    !! x y z of each
       integer :: i
+      call next_frames(writer%file, writer%series(k), 3*writer%n_node, node, error)
+      if (.not. associated(node)) return
       do i = 1, writer%n_node
-        writer%node(3*i - 2:3*i) = values(i, :)
+        node(3*i - 2) = values(i, 1)
+        node(3*i - 1) = values(i, 2)
+        node(3*i) = values(i, 3)
       end do
-      call hold_frames(writer%file, writer%series(k), writer%node, error)
     end subroutine hold_net
 
   end subroutine write_frame

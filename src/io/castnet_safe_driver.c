@@ -72,7 +72,7 @@ static const struct timespec grace = {0, 5000000};
 enum { block_bytes = 48, mark_at = 15, end_at = 40, page = 4096 };
 
 /* What gathers behind the end at most, and the size from which a write goes out by itself [B]. */
-static const size_t most_gathered = (size_t)1 << 20, large_write = (size_t)1 << 16;
+static const size_t most_gathered = (size_t)1 << 20, large_write = (size_t)1 << 15;
 
 typedef struct {
     haddr_t address;

@@ -23,7 +23,7 @@ module castnet_vtkhdf_writer
   use castnet_hdf5_file, only: hdf5_file_t, location_t, make_group, open_group, close_group, has_entry, remove_entry, &
                                rename_entry, link_entry, name_again, write_array, set_attribute, set_fixed_text, kind_double, &
                                kind_single, kind_long
-  use castnet_hdf5_series, only: series_t, create_series, open_series, append_frames, hold_frames, write_held, truncate_series, &
+  use castnet_hdf5_series, only: series_t, create_series, open_series, append_frames, next_frames, write_held, truncate_series, &
                                  close_series, growth_bytes, frames_a_chunk
   implicit none
   private
@@ -54,8 +54,7 @@ module castnet_vtkhdf_writer
     real(wp), allocatable :: time(:)            !! of the last frames, from the first that one of the two lacks; room for more
     integer(i8) :: frames = 0                   !! so far, those in memory included
     integer(i8) :: before_time = 0              !! of these, before time(1)
-    real(sp), allocatable :: point(:)           !! scratch: one frame, x y z of each point
-    real(sp), allocatable :: cell(:)            !! scratch: tension of lines, 0 for polygons
+    integer :: n_point = 0, n_cell = 0          !! net nodes and vertices; lines and polygons
   end type vtkhdf_writer_t
 
 contains
@@ -69,20 +68,18 @@ contains
     integer(i8), intent(in) :: expected               !! frames that will come, about
     type(error_t), allocatable, intent(inout) :: error
     type(location_t) :: data
-    integer :: n_point
     call measure(vtk, model, surface)
     call make_group(file, file%root, 'VTKHDF', vtk%group, error, entries=most_entries)
     call set_attribute(file, vtk%group%id, 'Version', [2_i8, 0_i8], error)
     call set_fixed_text(file, vtk%group%id, 'Type', 'PolyData', error)
-    call write_array(file, vtk%group, 'NumberOfPoints', [int(vtk%n_node + vtk%n_vertex, i8)], '1', error)
-    n_point = vtk%n_node + vtk%n_vertex
+    call write_array(file, vtk%group, 'NumberOfPoints', [int(vtk%n_point, i8)], '1', error)
     call create_series(file, vtk%group, 'Points', kind_single, [3], 'm', vtk%points, error, &
-                       together=n_point*frames_a_chunk(expected, 12_i8*n_point))
+                       together=vtk%n_point*frames_a_chunk(expected, 12_i8*vtk%n_point))
     call write_topology(vtk, file, vtk%group, model, surface, error)
     if (vtk%n_cable > 0) then
       call make_group(file, vtk%group, 'CellData', data, error)
       call create_series(file, data, 'tension', kind_single, [integer ::], 'N', vtk%tension, error, &
-                         together=size(vtk%cell)*frames_a_chunk(expected, 4_i8*size(vtk%cell)))
+                         together=vtk%n_cell*frames_a_chunk(expected, 4_i8*vtk%n_cell))
       call close_group(file, data)
     end if
     call create_steps(vtk, file, error)
@@ -142,8 +139,8 @@ contains
       if (allocated(surface%vertex)) vtk%n_vertex = size(surface%vertex, 2)
       if (allocated(surface%triangle)) vtk%n_triangle = size(surface%triangle, 2)
     end if
-    allocate (vtk%point(3*(vtk%n_node + vtk%n_vertex)), vtk%cell(vtk%n_cable + vtk%n_triangle))
-    vtk%cell = 0.0_sp
+    vtk%n_point = vtk%n_node + vtk%n_vertex
+    vtk%n_cell = vtk%n_cable + vtk%n_triangle
   end subroutine measure
 
   !> The four groups of cells: only lines and polygons hold any.
@@ -210,11 +207,11 @@ contains
     call measure(vtk, model, surface)
     call open_group(file, file%root, 'VTKHDF', vtk%group, error)
     call open_series(file, vtk%group, 'Points', kind_single, vtk%points, error)
-    call truncate_series(file, vtk%points, frames*(vtk%n_node + vtk%n_vertex), error)
+    call truncate_series(file, vtk%points, frames*vtk%n_point, error)
     if (vtk%n_cable > 0) then
       call open_group(file, vtk%group, 'CellData', data, error)
       call open_series(file, data, 'tension', kind_single, vtk%tension, error)
-      call truncate_series(file, vtk%tension, frames*size(vtk%cell), error)
+      call truncate_series(file, vtk%tension, frames*vtk%n_cell, error)
       call close_group(file, data)
     end if
     if (file%broken) return
@@ -231,7 +228,7 @@ contains
   !> One step more, held in memory: net nodes first, then the target's vertices, turned and
   !> moved.
   subroutine hold_vtkhdf_frame(vtk, file, state, surface, cable_tension, error)
-    type(vtkhdf_writer_t), intent(inout) :: vtk
+    type(vtkhdf_writer_t), intent(inout), target :: vtk
     type(hdf5_file_t), intent(inout) :: file
     type(state_t), intent(in) :: state
     type(surface_t), intent(in), optional :: surface
@@ -239,18 +236,23 @@ contains
     type(error_t), allocatable, intent(inout) :: error
     integer :: i, n
     real(wp) :: r(3, 3)
+    real(sp), pointer, contiguous :: point(:), cell(:)  !! x y z of each point; tension of lines, 0 for polygons
+    call next_frames(file, vtk%points, 3*vtk%n_point, point, error)
+    if (.not. associated(point) .and. vtk%n_point > 0) return
     do i = 1, vtk%n_node
-      vtk%point(3*i - 2:3*i) = single(state%node_position(i, :))
+      point(3*i - 2) = single(state%node_position(i, 1))
+      point(3*i - 1) = single(state%node_position(i, 2))
+      point(3*i) = single(state%node_position(i, 3))
     end do
     if (vtk%n_vertex > 0) r = rotation_matrix(state%target%attitude)
-    do i = 1, vtk%n_vertex
-      vtk%point(3*(vtk%n_node + i) - 2:3*(vtk%n_node + i)) = &
-        single(state%target%position + multiply(r, surface%vertex(:, i)))
+    do i = vtk%n_node + 1, vtk%n_point
+      point(3*i - 2:3*i) = single(state%target%position + multiply(r, surface%vertex(:, i - vtk%n_node)))
     end do
-    call hold_frames(file, vtk%points, vtk%point, error)
     if (vtk%n_cable > 0) then
-      vtk%cell(1:vtk%n_cable) = single(cable_tension(1:vtk%n_cable))
-      call hold_frames(file, vtk%tension, vtk%cell, error)
+      call next_frames(file, vtk%tension, vtk%n_cell, cell, error)
+      if (.not. associated(cell)) return
+      cell(:vtk%n_cable) = single(cable_tension(1:vtk%n_cable))
+      cell(vtk%n_cable + 1:) = 0.0_sp
     end if
     n = int(vtk%frames - vtk%before_time) + 1
     if (n > size(vtk%time)) call make_room(vtk%time, 2*n)
@@ -308,9 +310,9 @@ contains
       call append_frames(file, series(s_value), vtk%time(first - vtk%before_time + 1:vtk%frames - vtk%before_time), error)
       call append_frames(file, series(s_part), zero(:size(frame)), error)
       call append_frames(file, series(s_parts), 1 + zero(:size(frame)), error)
-      call append_frames(file, series(s_point), frame*(vtk%n_node + vtk%n_vertex), error)
+      call append_frames(file, series(s_point), frame*vtk%n_point, error)
       call append_frames(file, series(s_cell), zero, error)
-      if (vtk%n_cable > 0) call append_frames(file, series(s_tension), frame*size(vtk%cell), error)
+      if (vtk%n_cable > 0) call append_frames(file, series(s_tension), frame*vtk%n_cell, error)
     end associate
     call set_attribute(file, vtk%steps(copy)%group%id, 'NSteps', vtk%frames, error)
   end subroutine bring_up_to_date
@@ -327,8 +329,8 @@ contains
     integer(i8), intent(in) :: frames
     integer(i8) :: lacking
     integer :: copy, i
-    vtkhdf_growth = growth_bytes(vtk%points, frames*(vtk%n_node + vtk%n_vertex))
-    if (vtk%n_cable > 0) vtkhdf_growth = vtkhdf_growth + growth_bytes(vtk%tension, frames*size(vtk%cell))
+    vtkhdf_growth = growth_bytes(vtk%points, frames*vtk%n_point)
+    if (vtk%n_cable > 0) vtkhdf_growth = vtkhdf_growth + growth_bytes(vtk%tension, frames*vtk%n_cell)
     do copy = 1, 2
       lacking = max(0_i8, steps_length(vtk, vtk%shown) - steps_length(vtk, copy))
       do i = 1, merge(s_tension, s_cell, vtk%n_cable > 0)

@@ -87,7 +87,10 @@ contains
     ! its image in a symmetric net, whatever the order of the cables.
     do k = 1, c
       a = merge(2, 1, k > (nz + 1)*ny*group%cables_per_side)
-      half_mass(net%cable_nodes(:, k), a) = half_mass(net%cable_nodes(:, k), a) + 0.5_wp*linear_density(k)*length
+      do j = 1, 2
+        b = net%cable_nodes(j, k)
+        half_mass(b, a) = half_mass(b, a) + 0.5_wp*linear_density(k)*length
+      end do
     end do
     net%node_mass = half_mass(:, 1) + half_mass(:, 2)
 
