@@ -9,8 +9,7 @@ module verify_torque_free
   use castnet_kinds, only: wp
   use castnet_constants, only: pi
   use castnet_model, only: model_t, method_rk4, method_midpoint
-  use castnet_rotation, only: rotate, rotate_back, rotation_matrix, quaternion_from_rotation_vector, quaternion_product, &
-                              quaternion_conjugate, congruent
+  use castnet_rotation, only: rotate, rotation_matrix, quaternion_from_rotation_vector, quaternion_product, congruent
   use castnet_state, only: state_t
   use castnet_stepper, only: work_t
   use castnet_vector, only: cross, dot, norm
@@ -20,6 +19,7 @@ module verify_torque_free
   private
   public :: run_verify_torque_free
 
+  real(wp), parameter :: back(4) = [1.0_wp, -1.0_wp, -1.0_wp, -1.0_wp] !! times a unit quaternion: its inverse
   real(wp), parameter :: principal(3) = [1.0_wp, 2.0_wp, 3.0_wp]    !! [kg m2]
 
   !> The closed form's constants.
@@ -125,11 +125,11 @@ contains
     inertia(1, 1) = principal(1)
     inertia(2, 2) = principal(2)
     inertia(3, 3) = principal(3)
-    call add_spinning_body(congruent(rotation_matrix(turn), inertia), quaternion_conjugate(turn), &
+    call add_spinning_body(congruent(rotation_matrix(turn), inertia), back*turn, &
                            rotate(turn, [0.6_wp, 0.0_wp, 1.0_wp]), model, state)
     call ready(model, state, work, method, 10.0_wp/n)
     call fly(model, state, work, n)
-    w = rotate_back(turn, state%target%angular_velocity)
+    w = rotate(back*turn, state%target%angular_velocity)
     if (present(attitude)) attitude = quaternion_product(state%target%attitude, turn)
   end function flown
 

@@ -19,6 +19,9 @@
 
 volatile size_t castnet_refused_bytes = 0; /* that were last asked for in vain; 0: never */
 
+/* It was told and dealt with: what ends later has another reason. */
+void castnet_forget_refusal(void) { castnet_refused_bytes = 0; }
+
 #if defined(__GLIBC__) && !defined(__SANITIZE_ADDRESS__) /* the sanitizer has its own */
 
 extern void *__libc_malloc(size_t size);

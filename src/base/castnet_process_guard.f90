@@ -5,7 +5,7 @@ module castnet_process_guard
   use, intrinsic :: iso_c_binding, only: c_int, c_char, c_int64_t
   implicit none
   private
-  public :: guard_process, guard_thread, use_large_pages, end_process, print_line, print_error
+  public :: guard_process, guard_thread, use_large_pages, forget_refusal, end_process, print_line, print_error
 
   interface
     !> To be called first: crashes and errors of the Fortran runtime end in one sentence.
@@ -21,6 +21,11 @@ module castnet_process_guard
     !> pages, which take less time to get (castnet_aligned_malloc.c).
     subroutine use_large_pages() bind(c, name='castnet_use_large_pages')
     end subroutine use_large_pages
+
+    !> To be called where memory was refused and that was told to the user: if the process ends
+    !> in another way later, that was not the reason.
+    subroutine forget_refusal() bind(c, name='castnet_forget_refusal')
+    end subroutine forget_refusal
 
     subroutine castnet_end_process(code) bind(c)
       import :: c_int

@@ -5,8 +5,8 @@ module castnet_rotation
   use castnet_trigonometry, only: sine_cosine
   implicit none
   private
-  public :: rotation_matrix, rotate, rotate_back, multiply, multiply_transposed
-  public :: quaternion_product, quaternion_conjugate, quaternion_rate, normalise_quaternion
+  public :: rotation_matrix, rotate, multiply, multiply_transposed
+  public :: quaternion_product, normalise_quaternion
   public :: quaternion_from_rotation_vector, congruent
 
 contains
@@ -77,13 +77,6 @@ contains
     u(3) = v(3) + q(1)*t(3) + (q(2)*t(2) - q(3)*t(1))
   end function rotate
 
-  !> v_body of v_inertial.
-  pure function rotate_back(q, v) result(u)
-    real(wp), intent(in) :: q(4), v(3)
-    real(wp) :: u(3)
-    u = rotate(quaternion_conjugate(q), v)
-  end function rotate_back
-
   !> a b (Hamilton): first turn by b, then by a.
   pure function quaternion_product(a, b) result(c)
     real(wp), intent(in) :: a(4), b(4)
@@ -93,23 +86,6 @@ contains
     c(3) = a(1)*b(3) - a(2)*b(4) + a(3)*b(1) + a(4)*b(2)
     c(4) = a(1)*b(4) + a(2)*b(3) - a(3)*b(2) + a(4)*b(1)
   end function quaternion_product
-
-  !> The inverse of a unit quaternion.
-  pure function quaternion_conjugate(q) result(c)
-    real(wp), intent(in) :: q(4)
-    real(wp) :: c(4)
-    c = [q(1), -q(2), -q(3), -q(4)]
-  end function quaternion_conjugate
-
-  !> dq/dt = q (0, omega)/2, omega in body axes [1/s].
-  pure function quaternion_rate(q, omega_body) result(rate)
-    real(wp), intent(in) :: q(4), omega_body(3)
-    real(wp) :: rate(4)
-    rate(1) = 0.5_wp*(-q(2)*omega_body(1) - q(3)*omega_body(2) - q(4)*omega_body(3))
-    rate(2) = 0.5_wp*(q(1)*omega_body(1) + q(3)*omega_body(3) - q(4)*omega_body(2))
-    rate(3) = 0.5_wp*(q(1)*omega_body(2) - q(2)*omega_body(3) + q(4)*omega_body(1))
-    rate(4) = 0.5_wp*(q(1)*omega_body(3) + q(2)*omega_body(2) - q(3)*omega_body(1))
-  end function quaternion_rate
 
   !> q/|q|; the sign is kept. A zero quaternion gives no turn.
   pure function normalise_quaternion(q) result(u)

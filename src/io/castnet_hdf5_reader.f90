@@ -10,6 +10,7 @@ module castnet_hdf5_reader
                   h5t_integer_f, h5t_float_f, h5s_scalar_f, h5s_simple_f
   use castnet_kinds, only: wp, i8
   use castnet_error, only: error_t, fail, exit_file
+  use castnet_process_guard, only: forget_refusal
   use castnet_hdf5_file, only: hdf5_file_t, memory_type, kind_double, kind_long
   implicit none
   private
@@ -128,6 +129,7 @@ contains
     integer :: status
     allocate (values(n), stat=status)
     if (status /= 0) then
+      call forget_refusal()
       call fail(error, exit_file, "no memory to read '"//path//"' of '"//file%path//"'")
       return
     end if

@@ -6,6 +6,7 @@ module castnet_posix
   use, intrinsic :: iso_c_binding, only: c_char, c_int, c_int64_t, c_double, c_null_char
   use castnet_kinds, only: wp, i8
   use castnet_error, only: error_t, fail, exit_file
+  use castnet_process_guard, only: forget_refusal
   implicit none
   private
   public :: create_file, append_file, read_file, copy_file, sync_path, rename_file, remove_file, remove_if_unchanged, link_file
@@ -184,6 +185,7 @@ contains
     end if
     allocate (character(len=n) :: bytes, stat=stat)
     if (stat /= 0) then
+      call forget_refusal()
       read_file = 12  ! out of memory, everywhere
       bytes = ''
       return

@@ -19,7 +19,7 @@ module castnet_lattice
   use castnet_kinds, only: i8
   implicit none
   private
-  public :: graph_t, new_graph, find_lattice, find_honeycomb, fill_gaps, close_seam
+  public :: graph_t, new_graph, find_lattice, find_honeycomb, fill_gaps, close_seam, breadth_first
 
   integer, parameter :: unknown = huge(1)    !! no coordinate
   integer, parameter :: most_visits = 200    !! a node, by the second rule, on average
@@ -263,29 +263,45 @@ contains
   subroutine colour(graph, even)
     type(graph_t), intent(in) :: graph
     logical, intent(out) :: even(graph%n)
-    integer :: queue(graph%n), head, tail, i, k
+    integer :: order(graph%n), from(graph%n), i
+    call breadth_first(graph, 1, order, from)
+    do i = 1, graph%n
+      even(order(i)) = .true.
+      if (from(i) > 0) even(order(i)) = .not. even(from(i))
+    end do
+  end subroutine colour
+
+  !> All nodes, neighbours after neighbours: from the first one, then from the lowest that is left.
+  pure subroutine breadth_first(graph, first, order, from)
+    type(graph_t), intent(in) :: graph
+    integer, intent(in) :: first
+    integer, intent(out) :: order(graph%n)
+    integer, intent(out) :: from(graph%n)  !! the neighbour of order(i) that led there; 0: none
+    integer :: head, tail, i, k, root
     logical :: seen(graph%n)
     seen = .false.
-    tail = 0
+    from = 0
+    root = first
     head = 1
-    do i = 1, graph%n
-      if (seen(i)) cycle
+    tail = 0
+    do i = 0, graph%n
+      if (i > 0) root = i
+      if (seen(root)) cycle
       tail = tail + 1
-      queue(tail) = i
-      seen(i) = .true.
-      even(i) = .true.
+      order(tail) = root
+      seen(root) = .true.
       do while (head <= tail)
-        do k = graph%start(queue(head)), graph%start(queue(head) + 1) - 1
+        do k = graph%start(order(head)), graph%start(order(head) + 1) - 1
           if (seen(graph%neighbour(k))) cycle
           tail = tail + 1
-          queue(tail) = graph%neighbour(k)
-          seen(queue(tail)) = .true.
-          even(queue(tail)) = .not. even(queue(head))
+          order(tail) = graph%neighbour(k)
+          from(tail) = order(head)
+          seen(order(tail)) = .true.
         end do
         head = head + 1
       end do
     end do
-  end subroutine colour
+  end subroutine breadth_first
 
   !> The even nodes, joined where one odd node lies between.
   subroutine over_one(graph, even, triangles)
@@ -459,8 +475,8 @@ contains
     type(graph_t), intent(in) :: graph
     integer, intent(inout) :: at(:, :)
     integer, intent(in) :: patch(:)
-    integer :: p, q, k, u, largest, votes, d(2), period(2), one(2), n_seam, n_right, along, low, turns
-    integer, allocatable :: many(:)
+    integer :: p, k, u, largest, votes, period(2), one(2), n_right, along, low, turns
+    integer, allocatable :: many(:), seam(:, :), d(:, :)
     if (maxval(patch) == 0) return
     allocate (many(maxval(patch)), source=0)
     do p = 1, graph%n
@@ -469,43 +485,29 @@ contains
     largest = maxloc(many, dim=1)
     votes = 0
     period = 0
-    n_seam = 0
-    do p = 1, graph%n
-      if (patch(p) /= largest) cycle
-      do k = graph%start(p), graph%start(p + 1) - 1
-        q = graph%neighbour(k)
-        if (patch(q) /= largest .or. q < p) cycle
-        d = at(:, q) - at(:, p)
-        if (maxval(abs(d)) <= 1) cycle
-        n_seam = n_seam + 1
-        do u = 1, 4
-          if (has_step(graph, at, patch, p, unit(:, u)) .or. has_step(graph, at, patch, q, -unit(:, u))) cycle
-          one = unit(:, u) - d
-          if (one(1) < 0 .or. (one(1) == 0 .and. one(2) < 0)) one = -one
-          if (all(one == period)) then       ! the majority's name in one pass
-            votes = votes + 1
-          else if (votes == 0) then
-            period = one
-            votes = 1
-          else
-            votes = votes - 1
-          end if
-        end do
+    call long_cables(graph, at, patch, largest, seam)
+    d = at(:, seam(2, :)) - at(:, seam(1, :))
+    do k = 1, size(seam, 2)
+      do u = 1, 4
+        if (has_step(graph, at, patch, seam(1, k), unit(:, u)) .or. has_step(graph, at, patch, seam(2, k), -unit(:, u))) cycle
+        one = unit(:, u) - d(:, k)
+        if (one(1) < 0 .or. (one(1) == 0 .and. one(2) < 0)) one = -one
+        if (all(one == period)) then       ! the majority's name in one pass
+          votes = votes + 1
+        else if (votes == 0) then
+          period = one
+          votes = 1
+        else
+          votes = votes - 1
+        end if
       end do
     end do
     if (maxval(abs(period)) < 3) return
     n_right = 0
-    do p = 1, graph%n
-      if (patch(p) /= largest) cycle
-      do k = graph%start(p), graph%start(p + 1) - 1
-        q = graph%neighbour(k)
-        if (patch(q) /= largest .or. q < p) cycle
-        d = at(:, q) - at(:, p)
-        if (maxval(abs(d)) <= 1) cycle
-        if (sum(abs(d - period)) <= 2 .or. sum(abs(d + period)) <= 2) n_right = n_right + 1
-      end do
+    do k = 1, size(seam, 2)
+      if (sum(abs(d(:, k) - period)) <= 2 .or. sum(abs(d(:, k) + period)) <= 2) n_right = n_right + 1
     end do
-    if (2*n_right < n_seam) return
+    if (2*n_right < size(seam, 2)) return
     along = maxloc(abs(period), dim=1)
     low = minval(at(along, :), mask=patch == largest)
     do p = 1, graph%n
@@ -514,5 +516,28 @@ contains
       at(:, p) = at(:, p) - turns*period
     end do
   end subroutine close_seam
+
+  !> The cables of a patch that are longer than a unit step, or its diagonal: those across its seam.
+  subroutine long_cables(graph, at, patch, number, ends)
+    type(graph_t), intent(in) :: graph
+    integer, intent(in) :: at(:, :), patch(:), number
+    integer, allocatable, intent(out) :: ends(:, :)  !! (2,:) the lower node first
+    integer :: fill, n, p, k
+    do fill = 0, 1
+      n = 0
+      do p = 1, graph%n
+        if (patch(p) /= number) cycle
+        do k = graph%start(p), graph%start(p + 1) - 1
+          associate (q => graph%neighbour(k))
+            if (patch(q) /= number .or. q < p) cycle
+            if (maxval(abs(at(:, q) - at(:, p))) <= 1) cycle
+            n = n + 1
+            if (fill == 1) ends(:, n) = [p, q]
+          end associate
+        end do
+      end do
+      if (fill == 0) allocate (ends(2, n))
+    end do
+  end subroutine long_cables
 
 end module castnet_lattice

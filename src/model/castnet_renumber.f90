@@ -8,7 +8,7 @@
 module castnet_renumber
   use castnet_kinds, only: wp
   use castnet_cable_plan, only: sweep_cost
-  use castnet_lattice, only: graph_t, new_graph, find_lattice, find_honeycomb, fill_gaps, close_seam
+  use castnet_lattice, only: graph_t, new_graph, find_lattice, find_honeycomb, fill_gaps, close_seam, breadth_first
   use castnet_net, only: net_t
   implicit none
   private
@@ -95,7 +95,8 @@ contains
     call keep_cheaper(base, n, cable_nodes, order, least)
     if (found()) return
     call new_graph(n, cable_nodes, all_cables, graph)
-    call breadth_first(graph, base)
+    ! From a node of least degree on; where each was reached from does not matter.
+    call breadth_first(graph, minloc(graph%start(2:) - graph%start(:n), dim=1), base, patch)
     call keep_cheaper(base, n, cable_nodes, order, least)
     call new_graph(n, cable_nodes, most_cables, graph)
     call find_lattice(graph, at, patch)
@@ -198,33 +199,5 @@ contains
       bucket(k) = bucket(k) + 1
     end do
   end subroutine sort_by
-
-  !> Breadth first from a node of least degree, component by component.
-  subroutine breadth_first(graph, order)
-    type(graph_t), intent(in) :: graph
-    integer, intent(out) :: order(graph%n)
-    logical :: seen(graph%n)
-    integer :: head, tail, i, k, root
-    seen = .false.
-    root = minloc(graph%start(2:) - graph%start(:graph%n), dim=1)
-    head = 1
-    tail = 0
-    do i = 0, graph%n
-      if (i > 0) root = i
-      if (seen(root)) cycle
-      tail = tail + 1
-      order(tail) = root
-      seen(root) = .true.
-      do while (head <= tail)
-        do k = graph%start(order(head)), graph%start(order(head) + 1) - 1
-          if (seen(graph%neighbour(k))) cycle
-          tail = tail + 1
-          order(tail) = graph%neighbour(k)
-          seen(graph%neighbour(k)) = .true.
-        end do
-        head = head + 1
-      end do
-    end do
-  end subroutine breadth_first
 
 end module castnet_renumber
