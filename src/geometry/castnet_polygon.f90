@@ -5,7 +5,7 @@ module castnet_polygon
   use castnet_exact, only: snap_to_grid, side_of_line
   implicit none
   private
-  public :: loop_area, loop_perimeter, planar_hull
+  public :: loop_area, area_about_first, loop_perimeter, planar_hull
 
 contains
 
@@ -14,27 +14,35 @@ contains
   !> shadow on the plane where that is largest, so no surface spanned in it is smaller.
   pure real(wp) function loop_area(point) result(area)
     real(wp), intent(in) :: point(:, :)  !! (3,n) [m]
-    real(wp), dimension(size(point, 2)) :: x, y, z, nx, ny, nz
-    real(wp) :: vector(3)
+    real(wp), dimension(size(point, 2)) :: x, y, z
     integer :: i
-    do i = 1, size(point, 2)           ! about the first point, or far loops lose digits
+    do i = 1, size(point, 2)
       x(i) = point(1, i) - point(1, 1)
       y(i) = point(2, i) - point(2, 1)
       z(i) = point(3, i) - point(3, 1)
     end do
-    do i = 2, size(point, 2) - 1
+    area = area_about_first(size(point, 2), x, y, z)
+  end function loop_area
+
+  !> The same of a loop seen from its first point, or far loops lose digits.
+  pure real(wp) function area_about_first(n, x, y, z) result(area)
+    integer, intent(in) :: n
+    real(wp), intent(in) :: x(n), y(n), z(n)  !! the first is 0 [m]
+    real(wp) :: nx(n), ny(n), nz(n), vector(3)
+    integer :: i
+    do i = 2, n - 1
       nx(i) = y(i)*z(i + 1) - z(i)*y(i + 1)
       ny(i) = z(i)*x(i + 1) - x(i)*z(i + 1)
       nz(i) = x(i)*y(i + 1) - y(i)*x(i + 1)
     end do
     vector = 0.0_wp
-    do i = 2, size(point, 2) - 1
+    do i = 2, n - 1
       vector(1) = vector(1) + nx(i)
       vector(2) = vector(2) + ny(i)
       vector(3) = vector(3) + nz(i)
     end do
     area = 0.5_wp*sqrt(vector(1)*vector(1) + vector(2)*vector(2) + vector(3)*vector(3))
-  end function loop_area
+  end function area_about_first
 
   !> Length of the closed loop [m].
   pure real(wp) function loop_perimeter(point) result(perimeter)

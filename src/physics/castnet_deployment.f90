@@ -7,7 +7,7 @@ module castnet_deployment
   use castnet_kinds, only: wp
   use castnet_diagnostics, only: net_centre_of_mass, all_finite
   use castnet_model, only: model_t
-  use castnet_polygon, only: loop_area
+  use castnet_polygon, only: area_about_first
   use castnet_record, only: deployment_t
   use castnet_state, only: state_t, deployment_state_t, area_bins, area_bins_per_unit
   implicit none
@@ -43,14 +43,16 @@ contains
   pure real(wp) function mouth_area(model, state)
     type(model_t), intent(in) :: model
     type(state_t), intent(in) :: state
-    real(wp) :: point(3, size(model%net%perimeter_nodes))
+    real(wp) :: seen(size(model%net%perimeter_nodes), 3)
     integer :: i, c
-    do c = 1, 3
-      do i = 1, size(point, 2)
-        point(c, i) = state%node_position(model%net%perimeter_nodes(i), c)
+    associate (node => model%net%perimeter_nodes, position => state%node_position)
+      do c = 1, 3
+        do i = 1, size(node)
+          seen(i, c) = position(node(i), c) - position(node(1), c)
+        end do
       end do
-    end do
-    mouth_area = loop_area(point)
+      mouth_area = area_about_first(size(node), seen(:, 1), seen(:, 2), seen(:, 3))
+    end associate
   end function mouth_area
 
   !> One more row: mouth area and centre of mass at a time.
