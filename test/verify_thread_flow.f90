@@ -3,7 +3,8 @@
 !> rk4 at a fine step; momentum and books.
 module verify_thread_flow
   use castnet_kinds, only: wp
-  use castnet_closing_thread, only: add_thread_force
+  use castnet_closing_thread, only: add_thread_force, thread_length
+  use castnet_diagnostics, only: net_kinetic_energy, elastic_energy
   use castnet_error, only: error_t
   use castnet_integrator, only: midpoint_begin
   use castnet_model, only: model_t, method_rk4, method_midpoint, trigger_time
@@ -30,6 +31,7 @@ contains
     call test_case('thread_flow: a light ring at fifty times the explicit step flies as with rk4', light_ring)
     call test_case('thread_flow: momentum is kept, winch work is what the nodes got, led supports pay theirs', books)
     call test_case('thread_flow: a slack thread leaves the step as it is', slack)
+    call test_case('thread_flow: an open net closes as with rk4 at seven times its step, and gains no energy', closing_net)
     call test_case('thread_flow: the automatic step of the closing rocket is the net''s', automatic_step)
   end subroutine run_verify_thread_flow
 
@@ -339,6 +341,57 @@ contains
     call expect_close(state%ledger%winch_work, 0.0_wp, 'no work', atol=0.0_wp)
   end subroutine slack
 
+  !> The rocket's net, nearly flat, wound in at once: sides and winch work after 1.2 s, when half of
+  !> the thread is in, long after single nodes went their own ways.
+  subroutine closing_net()
+    character(len=8), parameter :: method(2) = ['rk4     ', 'midpoint']
+    real(wp), parameter :: step(2) = [2.0e-4_wp, 1.5e-3_wp], t = 1.2_wp
+    type(scene_t) :: scene
+    type(model_t) :: model
+    type(state_t) :: state
+    type(work_t) :: work
+    type(step_report_t) :: report
+    type(error_t), allocatable :: error
+    type(file_net_t), allocatable :: no_file
+    real(wp) :: length(2), done(2), start, now, rise
+    character(len=80) :: words
+    integer :: m, i
+    do m = 1, 2
+      scene = rocket_scene()
+      scene%time%method = method(m)
+      scene%time%step = step(m)
+      scene%net%stowed_scale = 0.95_wp
+      scene%net%squares = 10
+      scene%bullets%mass = 0.3_wp
+      scene%closing%trigger = 'time'
+      scene%closing%max_tension = 30.0_wp
+      scene%closing%winch_speed = 10.0_wp
+      call set_up(scene, 1, no_file, model, state, work, report, error)
+      call expect(.not. allocated(error), 'set up')
+      start = energy(model, state)
+      rise = 0.0_wp
+      do i = 1, nint(t/step(m))
+        call advance(model, state, work, error)
+        now = energy(model, state) - state%ledger%winch_work
+        rise = max(rise, now - start)
+      end do
+      length(m) = thread_length(model%closing, 1, state%node_position)
+      done(m) = state%ledger%winch_work
+      write (words, '(2a,f8.4,a,f8.3,a,es9.2)') trim(method(m)), ': side', length(m), ' m, work', done(m), ' J, rise', rise
+      call note(trim(words))
+      call expect(rise < 1.0e-3_wp*start, 'energy less winch work does not rise')
+    end do
+    call expect(length(1) < 12.0_wp .and. done(1) > 1.0_wp, 'it closes')
+    call expect_close(length(2), length(1), 'side', rtol=2.0e-2_wp)
+    call expect_close(done(2), done(1), 'winch work', rtol=2.0e-2_wp)
+  end subroutine closing_net
+
+  real(wp) function energy(model, state)
+    type(model_t), intent(in) :: model
+    type(state_t), intent(in) :: state
+    energy = net_kinetic_energy(model%net, state%node_velocity) + elastic_energy(model%net, state%node_position)
+  end function energy
+
   !> The paper's rocket net with the winches of input/rocket_closing_x_1.1.nml.
   function rocket_scene() result(scene)
     type(scene_t) :: scene
@@ -379,6 +432,17 @@ contains
     ratio = free%spectrum%highest_frequency/report%spectrum%highest_frequency
     call expect(report%stable_limit < free%stable_limit .and. report%stable_limit > ratio*free%stable_limit, 'the limit')
     call expect(report%step > 1.5e-3_wp, 'the chosen step')
+    ! With contact, one threshold at the speed of bullets and winches together.
+    scene = rocket_scene()
+    allocate (scene%target, scene%contact)
+    scene%target%shape = 'sphere'
+    scene%target%dimensions(1) = 2.0_wp
+    scene%target%mass = 1000.0_wp
+    scene%target%position = [50.0_wp, 0.0_wp, 0.0_wp]
+    scene%contact%threshold = 2.0e-2_wp
+    call set_up(scene, 1, no_file, model, state, work, free, error)
+    call expect(.not. allocated(error), 'set up')
+    call expect_close(free%step, 2.0e-2_wp/(10.0_wp + 20.0_wp), 'with contact', rtol=1.0e-14_wp)
     scene = rocket_scene()
     scene%time%step = 1.05_wp*report%stable_limit
     call set_up(scene, 1, no_file, model, state, work, report, error)

@@ -29,7 +29,9 @@ module castnet_setup
   real(wp), parameter :: undamped_phase = 0.5_wp, phase_by_damping = 25.0_wp
   !> Of the contact threshold that a bullet may cross in a step. One-stage steps stay
   !> unbiased up to a whole threshold (docs/performance.md); the paper's rule is a tenth, and
-  !> 'adaptive' keeps it, because it meets the target at its steps' ends as rk4 does.
+  !> 'adaptive' keeps it, because it meets the target at its steps' ends as rk4 does. Winches
+  !> add to the bullets' speed what they wind in: closing round the target alone, midpoint is
+  !> unbiased at the net's limit, but with contact only where this speed counts too.
   real(wp), parameter :: threshold_fraction = 0.1_wp, threshold_fraction_midpoint = 1.0_wp
   real(wp), parameter :: radians_per_step = 0.01_wp  !! of a target that spins alone
   integer, parameter :: steps_at_least = 1000     !! where nothing else limits the step
@@ -76,7 +78,7 @@ contains
 
   !> The step: the scene's own, refused above the limit (or warned of), or 0.7 of the
   !> limit and at most a tenth of the threshold ('midpoint': one threshold) per step at
-  !> the bullets' speed.
+  !> the bullets' speed ('midpoint': with the winches').
   subroutine choose_step(scene, model, state, report, error, memory)
     type(scene_t), intent(in) :: scene
     type(model_t), intent(in) :: model
@@ -87,8 +89,8 @@ contains
     type(perturbation_t) :: nominal
     type(net_t) :: net
     real(wp), allocatable :: position(:, :), velocity(:, :)
-    real(wp) :: spin, net_limit, fraction, ratio, phase
-    character(len=:), allocatable :: thread
+    real(wp) :: spin, net_limit, fraction, ratio, phase, speed
+    character(len=:), allocatable :: thread, whose
 
     thread = ''
     ratio = 0.0_wp
@@ -160,10 +162,16 @@ contains
     end if
     if (allocated(model%contact) .and. allocated(scene%bullets)) then
       fraction = merge(threshold_fraction_midpoint, threshold_fraction, model%method == method_midpoint)
-      if (report%step*scene%bullets%speed > fraction*model%contact%threshold) then
-        report%step = fraction*model%contact%threshold/scene%bullets%speed
-        report%reason = 'a tenth of the contact threshold at the bullets'' speed'
-        if (model%method == method_midpoint) report%reason = 'the contact threshold at the bullets'' speed'
+      speed = scene%bullets%speed
+      whose = 'the bullets'' speed'
+      if (model%method == method_midpoint .and. allocated(model%closing)) then
+        speed = speed + model%closing%winch_speed
+        whose = 'the speed of bullets and winches together'
+      end if
+      if (report%step*speed > fraction*model%contact%threshold) then
+        report%step = fraction*model%contact%threshold/speed
+        report%reason = 'a tenth of the contact threshold at '//whose
+        if (model%method == method_midpoint) report%reason = 'the contact threshold at '//whose
       end if
     end if
     report%step = min(report%step, scene%time%end_time)
