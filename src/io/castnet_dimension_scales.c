@@ -62,13 +62,13 @@ static reference_t *old_references(hid_t scale, hid_t type, size_t *n)
 }
 
 /* Tell the scale at `scale` in a file which datasets use it: n of them, with the number of
- * the dimension in C's order. */
-int castnet_refer_back(hid_t file, uint64_t scale, int n, const uint64_t *dataset, const int *dimension)
+ * the dimension in C's order. `open` is the scale's dataset, or negative where it is not open. */
+int castnet_refer_back(hid_t file, uint64_t scale, hid_t open, int n, const uint64_t *dataset, const int *dimension)
 {
     hobj_ref_t reference = (hobj_ref_t)scale;
     int status = -1;
     size_t n_old;
-    hid_t object = H5Rdereference2(file, H5P_DEFAULT, H5R_OBJECT, &reference);
+    hid_t object = open >= 0 ? open : H5Rdereference2(file, H5P_DEFAULT, H5R_OBJECT, &reference);
     if (object < 0) return -1;
     hid_t type = H5Tcreate(H5T_COMPOUND, sizeof(reference_t));
     H5Tinsert(type, "dataset", HOFFSET(reference_t, dataset), H5T_STD_REF_OBJ);
@@ -94,6 +94,6 @@ int castnet_refer_back(hid_t file, uint64_t scale, int n, const uint64_t *datase
     free(list);
     free(old);
     H5Tclose(type);
-    H5Oclose(object);
+    if (object != open) H5Oclose(object);
     return status;
 }

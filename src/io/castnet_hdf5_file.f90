@@ -12,9 +12,9 @@ module castnet_hdf5_file
   use, intrinsic :: iso_c_binding, only: c_loc, c_ptr, c_int, c_null_char
   use hdf5, only: hid_t, hsize_t, size_t, h5open_f, h5dont_atexit_f, h5eset_auto_f, h5fcreate_f, h5fopen_f, h5fclose_f, &
                   h5fflush_f, h5fget_filesize_f, h5fis_hdf5_f, h5gcreate_f, h5gopen_f, h5gclose_f, h5gget_info_f, &
-                  h5screate_simple_f, &
-                  h5screate_f, h5sclose_f, h5dcreate_f, h5dopen_f, h5dclose_f, h5dwrite_f, h5acreate_f, h5awrite_f, &
-                  h5aclose_f, h5aopen_f, h5aexists_f, h5tcopy_f, h5tclose_f, h5tset_size_f, h5tset_cset_f, &
+                  h5screate_simple_f, h5iinc_ref_f, h5idec_ref_f, &
+                  h5screate_f, h5sclose_f, h5dcreate_f, h5dopen_f, h5dclose_f, h5dwrite_f, h5acreate_f, &
+                  h5awrite_f, h5aclose_f, h5aopen_f, h5aexists_f, h5tcopy_f, h5tclose_f, h5tset_size_f, h5tset_cset_f, &
                   h5tset_strpad_f, h5ldelete_f, h5lexists_f, h5lmove_f, h5lcreate_soft_f, h5lcreate_hard_f, h5t_string, &
                   h5t_fortran_s1, h5t_cset_utf8_f, &
                   h5t_str_nullpad_f, h5lget_name_by_idx_f, h5p_group_create_f, h5pset_link_creation_order_f, &
@@ -59,6 +59,7 @@ module castnet_hdf5_file
   type :: scale_t
     character(len=longest_scale) :: name = ''   !! path from the root
     integer(i8) :: reference = 0
+    integer(hid_t) :: id = -1                   !! held open until it is told who uses it
   end type scale_t
 
   !> A dataset's dimension along a scale, of which the scale is still to be told.
@@ -100,9 +101,9 @@ module castnet_hdf5_file
       integer(c_int), value :: rank
       integer(i8), intent(in) :: scale(*)
     end function castnet_name_dimensions
-    integer(c_int) function castnet_refer_back(file, scale, n, dataset, dimension) bind(c)
+    integer(c_int) function castnet_refer_back(file, scale, open, n, dataset, dimension) bind(c)
       import :: c_int, hid_t, i8
-      integer(hid_t), value :: file
+      integer(hid_t), value :: file, open
       integer(i8), value :: scale
       integer(c_int), value :: n
       integer(i8), intent(in) :: dataset(*)
@@ -831,7 +832,7 @@ contains
     character(len=*), intent(in) :: name
     type(error_t), allocatable, intent(inout) :: error
     integer(hid_t) :: id
-    integer :: status
+    integer :: status, holders
     type(scale_t) :: scale
     if (file%broken) return
     call open_dataset(file, parent, name, id, status)
@@ -840,6 +841,10 @@ contains
     if (status < 0) return
     scale%name = joined(parent, name)
     scale%reference = castnet_reference(id)
+    if (len(joined(parent, name)) <= longest_scale) then
+      call h5iinc_ref_f(id, holders, status)
+      if (status >= 0) scale%id = id
+    end if
     call close_dataset(file, id)
     if (len(joined(parent, name)) > longest_scale) return
     if (.not. allocated(file%scales)) allocate (file%scales(8))
@@ -907,15 +912,30 @@ contains
     call h5dclose_f(id, status)
   end function scale_reference
 
-  !> Tell every scale which datasets have come to use it.
+  !> Tell every scale which datasets have come to use it, and let go of it.
   subroutine tell_scales(file, error)
+    type(hdf5_file_t), intent(inout) :: file
+    type(error_t), allocatable, intent(inout) :: error
+    integer :: i, holders, status
+    if (file%n_use > 0) call tell_uses(file, error)
+    if (file%broken) return
+    do i = 1, file%n_scale
+      if (file%scales(i)%id < 0) cycle
+      call h5idec_ref_f(file%scales(i)%id, holders, status)
+      file%scales(i)%id = -1
+    end do
+  end subroutine tell_scales
+
+  !> One list a scale.
+  subroutine tell_uses(file, error)
     type(hdf5_file_t), intent(inout) :: file
     type(error_t), allocatable, intent(inout) :: error
     integer(i8), allocatable :: dataset(:)
     integer(c_int), allocatable :: dimension(:)
     logical, allocatable :: told(:), mine(:)
-    integer :: i, status
-    if (file%broken .or. file%n_use == 0) return
+    integer(hid_t) :: id
+    integer :: i, k, status
+    if (file%broken) return
     associate (uses => file%uses(:file%n_use))
       allocate (told(size(uses)), source=.false.)
       do i = 1, size(uses)
@@ -924,12 +944,16 @@ contains
         dataset = pack(uses%dataset, mine)
         dimension = pack(uses%dimension, mine)
         told = told .or. mine
-        status = castnet_refer_back(file%root%id, uses(i)%scale, size(dataset), dataset, dimension)
+        id = -1
+        do k = 1, file%n_scale
+          if (file%scales(k)%reference == uses(i)%scale) id = file%scales(k)%id
+        end do
+        status = castnet_refer_back(file%root%id, uses(i)%scale, id, size(dataset), dataset, dimension)
         call check(file, status, 'complete a dimension scale', '', error)
         if (status < 0) return
       end do
     end associate
     file%n_use = 0
-  end subroutine tell_scales
+  end subroutine tell_uses
 
 end module castnet_hdf5_file
