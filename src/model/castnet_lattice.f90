@@ -16,66 +16,18 @@
 !>
 !> All this serves an order of the nodes (castnet_renumber): nothing depends on its being right but speed.
 module castnet_lattice
+  use castnet_graph, only: graph_t, breadth_first
   use castnet_kinds, only: i8
   implicit none
   private
-  public :: graph_t, new_graph, find_lattice, find_honeycomb, fill_gaps, close_seam, breadth_first
+  public :: find_lattice, find_honeycomb, fill_gaps, close_seam
 
   integer, parameter :: unknown = huge(1)    !! no coordinate
   integer, parameter :: most_visits = 200    !! a node, by the second rule, on average
 
   integer, parameter :: unit(2, 4) = reshape([1, 0, 0, 1, -1, 0, 0, -1], [2, 4]) !! steps along rows and columns
 
-  !> Who is joined to whom: neighbours of node i are neighbour(start(i):start(i+1)-1).
-  type :: graph_t
-    integer :: n = 0
-    integer, allocatable :: start(:), neighbour(:)
-  end type graph_t
-
 contains
-
-  !> The graph of the cables whose ends have at most `most` cables each. A hub is no node of a lattice.
-  subroutine new_graph(n, cable_nodes, most, graph)
-    integer, intent(in) :: n, cable_nodes(:, :), most
-    type(graph_t), intent(out) :: graph
-    integer :: degree(n), next(n), c, e, a
-    logical :: kept
-    degree = 0
-    do c = 1, size(cable_nodes, 2)
-      do e = 1, 2
-        degree(cable_nodes(e, c)) = degree(cable_nodes(e, c)) + 1
-      end do
-    end do
-    graph%n = n
-    allocate (graph%start(n + 1), source=0)
-    do c = 1, size(cable_nodes, 2)
-      kept = degree(cable_nodes(1, c)) <= most .and. degree(cable_nodes(2, c)) <= most
-      do e = 1, 2
-        if (kept) graph%start(cable_nodes(e, c) + 1) = graph%start(cable_nodes(e, c) + 1) + 1
-      end do
-    end do
-    call add_up(graph%start)
-    allocate (graph%neighbour(graph%start(n + 1) - 1))
-    next = graph%start(:n)
-    do c = 1, size(cable_nodes, 2)
-      if (degree(cable_nodes(1, c)) > most .or. degree(cable_nodes(2, c)) > most) cycle
-      do e = 1, 2
-        a = cable_nodes(e, c)
-        graph%neighbour(next(a)) = cable_nodes(3 - e, c)
-        next(a) = next(a) + 1
-      end do
-    end do
-  end subroutine new_graph
-
-  !> From numbers of entries, one place late, to where each row begins.
-  pure subroutine add_up(start)
-    integer, intent(inout) :: start(:)
-    integer :: a
-    start(1) = 1
-    do a = 2, size(start)
-      start(a) = start(a) + start(a - 1)
-    end do
-  end subroutine add_up
 
   !> Coordinates of the nodes of squares or triangles, patch by patch; zeros elsewhere.
   subroutine find_lattice(graph, at, patch)
@@ -248,8 +200,11 @@ contains
     type(graph_t), intent(in) :: graph
     integer, intent(out) :: at(2, graph%n), patch(graph%n)
     type(graph_t) :: triangles
+    integer :: order(graph%n), level(graph%n)
     logical :: even(graph%n)
-    call colour(graph, even)
+    if (graph%n == 0) return
+    call breadth_first(graph, 1, order, level)
+    even = modulo(level, 2) == 1
     call over_one(graph, even, triangles)
     call find_lattice(triangles, at, patch)
     call turn_upright(graph, triangles, even, at, patch)
@@ -258,50 +213,6 @@ contains
       at(1, :) = 2*at(1, :) + at(2, :) + merge(0, 1, even)
     end where
   end subroutine find_honeycomb
-
-  !> Every second node, breadth first.
-  subroutine colour(graph, even)
-    type(graph_t), intent(in) :: graph
-    logical, intent(out) :: even(graph%n)
-    integer :: order(graph%n), from(graph%n), i
-    call breadth_first(graph, 1, order, from)
-    do i = 1, graph%n
-      even(order(i)) = .true.
-      if (from(i) > 0) even(order(i)) = .not. even(from(i))
-    end do
-  end subroutine colour
-
-  !> All nodes, neighbours after neighbours: from the first one, then from the lowest that is left.
-  pure subroutine breadth_first(graph, first, order, from)
-    type(graph_t), intent(in) :: graph
-    integer, intent(in) :: first
-    integer, intent(out) :: order(graph%n)
-    integer, intent(out) :: from(graph%n)  !! the neighbour of order(i) that led there; 0: none
-    integer :: head, tail, i, k, root
-    logical :: seen(graph%n)
-    seen = .false.
-    from = 0
-    root = first
-    head = 1
-    tail = 0
-    do i = 0, graph%n
-      if (i > 0) root = i
-      if (seen(root)) cycle
-      tail = tail + 1
-      order(tail) = root
-      seen(root) = .true.
-      do while (head <= tail)
-        do k = graph%start(order(head)), graph%start(order(head) + 1) - 1
-          if (seen(graph%neighbour(k))) cycle
-          tail = tail + 1
-          order(tail) = graph%neighbour(k)
-          from(tail) = order(head)
-          seen(order(tail)) = .true.
-        end do
-        head = head + 1
-      end do
-    end do
-  end subroutine breadth_first
 
   !> The even nodes, joined where one odd node lies between.
   subroutine over_one(graph, even, triangles)

@@ -3,13 +3,15 @@
 !> The kernel is fastest where cables join node a to node a + a constant (castnet_cable_plan).
 !> So a net of squares, triangles or hexagons, flat or round a hub, gets its lattice back
 !> (castnet_lattice) and is numbered row by row. There are several ways to do so, and what is no lattice
-!> is numbered breadth first, which at least keeps neighbours close: the order that makes the
-!> cheapest sweep is taken. This is an order only: nothing depends on it but the speed.
+!> is numbered along paths of cables (castnet_node_paths) or breadth first, which at least keeps neighbours
+!> close: the order that makes the cheapest sweep is taken. This is an order only: nothing depends on it but the speed.
 module castnet_renumber
   use castnet_kinds, only: wp
   use castnet_cable_plan, only: sweep_cost
-  use castnet_lattice, only: graph_t, new_graph, find_lattice, find_honeycomb, fill_gaps, close_seam, breadth_first
+  use castnet_graph, only: graph_t, new_graph, breadth_first
+  use castnet_lattice, only: find_lattice, find_honeycomb, fill_gaps, close_seam
   use castnet_net, only: net_t
+  use castnet_node_paths, only: follow_paths
   implicit none
   private
   public :: renumber_net, in_original_order
@@ -86,7 +88,7 @@ contains
     integer, intent(in) :: cable_nodes(:, :)
     integer, allocatable, intent(out) :: order(:)
     type(graph_t) :: graph
-    integer :: at(2, n), patch(n), base(n), key(2, n), way, i
+    integer :: at(2, n), patch(n), base(n), path(n), key(2, n), way, i
     real(wp) :: least
 
     least = huge(1.0_wp)
@@ -95,9 +97,10 @@ contains
     call keep_cheaper(base, n, cable_nodes, order, least)
     if (found()) return
     call new_graph(n, cable_nodes, all_cables, graph)
-    ! From a node of least degree on; where each was reached from does not matter.
-    call breadth_first(graph, minloc(graph%start(2:) - graph%start(:n), dim=1), base, patch)
+    call breadth_first(graph, minloc(graph%start(2:) - graph%start(:n), dim=1), base, at(1, :))
     call keep_cheaper(base, n, cable_nodes, order, least)
+    call follow_paths(graph, path)
+    call keep_cheaper(path, n, cable_nodes, order, least)
     call new_graph(n, cable_nodes, most_cables, graph)
     call find_lattice(graph, at, patch)
     call fill_gaps(graph, .false., at, patch)
