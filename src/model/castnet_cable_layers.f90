@@ -15,6 +15,7 @@ module castnet_cable_layers
   integer, parameter :: longest_gap = 4      !! phantoms in a row
   integer, parameter :: shortest_block = 8   !! cables that are worth a loop
   integer, parameter :: even_passes = 3
+  integer, parameter :: most_reached = 400   !! nodes that a search for one with too few cables looks at
 
   !> First the cables in blocks, block by block, then the single ones.
   type :: layers_t
@@ -119,8 +120,9 @@ contains
 
   end subroutine arrange_layers
 
-  !> Choose first ends so that about as many cables begin at every node.
-  pure subroutine point_evenly(n_node, ends, first, second)
+  !> Choose first ends so that as many cables begin at every node as its net allows: each of two
+  !> neighbours in turn, then along chains of cables, all turned round, from a node with too many to one with too few.
+  subroutine point_evenly(n_node, ends, first, second)
     integer, intent(in) :: n_node, ends(:, :)
     integer, intent(out) :: first(:), second(:)
     integer :: beginning(n_node), k, pass
@@ -132,15 +134,87 @@ contains
           second(k) = maxval(ends(:, k))
           beginning(first(k)) = beginning(first(k)) + 1
         end if
-        if (beginning(first(k)) <= beginning(second(k)) + 1) cycle
-        beginning(first(k)) = beginning(first(k)) - 1
-        beginning(second(k)) = beginning(second(k)) + 1
-        first(k) = first(k) + second(k)
-        second(k) = first(k) - second(k)
-        first(k) = first(k) - second(k)
+        if (beginning(first(k)) > beginning(second(k)) + 1) call turn(k)
       end do
     end do
+    call along_chains()
+
+  contains
+
+    subroutine turn(cable)
+      integer, intent(in) :: cable
+      integer :: from
+      from = first(cable)
+      beginning(from) = beginning(from) - 1
+      beginning(second(cable)) = beginning(second(cable)) + 1
+      first(cable) = second(cable)
+      second(cable) = from
+    end subroutine turn
+
+    !> From nodes with more than the mean, breadth first over second ends to one with less, never far.
+    subroutine along_chains()
+      integer :: start(n_node + 1), at(2*size(ends, 2)), queue(most_reached), by(n_node), mean, i, j, c, head, tail, node
+      mean = (size(ends, 2) + n_node - 1)/n_node
+      call incident(n_node, ends, start, at)
+      by = 0                                  ! the cable that a node was reached by; -1: where the chain begins
+      do i = 1, n_node
+        do while (beginning(i) > mean)
+          queue(1) = i
+          by(i) = -1
+          head = 1
+          tail = 1
+          node = 0
+          search: do while (head <= tail)
+            do j = start(queue(head)), start(queue(head) + 1) - 1
+              c = at(j)
+              if (first(c) /= queue(head) .or. by(second(c)) /= 0) cycle
+              if (tail == most_reached) exit search
+              tail = tail + 1
+              queue(tail) = second(c)
+              by(second(c)) = c
+              if (beginning(second(c)) >= mean) cycle
+              node = second(c)
+              exit search
+            end do
+            head = head + 1
+          end do search
+          do while (node /= 0)
+            c = by(node)
+            if (c < 0) exit
+            node = first(c)
+            call turn(c)
+          end do
+          by(queue(:tail)) = 0
+          if (node == 0) exit
+        end do
+      end do
+    end subroutine along_chains
+
   end subroutine point_evenly
+
+  !> The cables at node i are at(start(i):start(i+1)-1).
+  pure subroutine incident(n_node, ends, start, at)
+    integer, intent(in) :: n_node, ends(:, :)
+    integer, intent(out) :: start(n_node + 1), at(2*size(ends, 2))
+    integer :: next(n_node), k, e
+    start = 0
+    do k = 1, size(ends, 2)
+      do e = 1, 2
+        start(ends(e, k) + 1) = start(ends(e, k) + 1) + 1
+      end do
+    end do
+    start(1) = 1
+    do k = 1, n_node
+      start(k + 1) = start(k + 1) + start(k)
+    end do
+    next = start(:n_node)
+    do k = 1, size(ends, 2)
+      do e = 1, 2
+        at(next(ends(e, k))) = k
+        next(ends(e, k)) = next(ends(e, k)) + 1
+      end do
+    end do
+  end subroutine incident
 
   !> Order cables by first, then by second end. Those that begin at node i are order(start(i):start(i+1)-1).
   subroutine sort_by_ends(n_node, first, second, start, order)

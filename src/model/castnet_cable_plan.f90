@@ -47,10 +47,9 @@ module castnet_cable_plan
     integer, allocatable :: block_start(:)     !! (blocks+1) loose cable that a block begins with
     integer, allocatable :: block_from(:)      !! (chunks+1) which blocks begin at a chunk's nodes
     integer, allocatable :: arriving(:, :)     !! (n_node,:) loose cables that end at a node; 0: no more
-    integer :: n_loose_node = 0
-    integer, allocatable :: loose_node(:)      !! (n_loose_node) nodes with loose cables that neither says, ascending
-    integer, allocatable :: loose_pointer(:)   !! (n_loose_node+1) into loose_entry
-    integer, allocatable :: loose_entry(:)     !! loose cable; negative: this node is its second end
+    integer, allocatable :: end_from(:)        !! (chunks+1) where a chunk's ends of loose cables begin that neither says
+    integer, allocatable :: end_node(:)        !! node of such an end; a node's follow in slot order
+    integer, allocatable :: end_cable(:)       !! its loose cable; negative: this is the second end
     integer :: n_slot = 0                      !! cables and phantoms
     integer, allocatable :: slot_of_cable(:)   !! (n_cable)
     real(wp), allocatable :: stiffness(:)      !! (n_slot) k = EA / natural length, 0 for phantoms [N/m]
@@ -289,16 +288,18 @@ contains
   end subroutine sort_cables
 
   !> Which loose cables end at which node: the order of the sum. First the blocks, then as many arrivals
-  !> as enough nodes have, then what is left, in slot order.
+  !> as enough nodes have, then what is left: in each chunk first ends of all nodes, second ones of all nodes, ...,
+  !> so that no sum waits for the one before.
   subroutine build_loose_incidence(plan, n_node)
     type(cable_plan_t), intent(inout) :: plan
     integer, intent(in) :: n_node
-    integer, allocatable :: degree(:), row(:), arrived(:)
-    integer :: i, k, n_rank
+    integer :: arrived(n_node), left(n_node), k, n_rank, n_chunk, chunk, i, rank, most
+    integer, allocatable :: start(:), of_node(:)
 
-    allocate (degree(n_node), row(n_node), arrived(n_node), source=0)
+    n_chunk = (n_node + chunk_size - 1)/chunk_size
     n_rank = 0
     if (plan%n_layered > 0) then
+      arrived = 0
       do k = 1, plan%n_loose
         if (plan%loose_a(k) /= plan%loose_b(k)) arrived(plan%loose_b(k)) = arrived(plan%loose_b(k)) + 1
       end do
@@ -307,48 +308,66 @@ contains
       end do
     end if
     allocate (plan%arriving(n_node, n_rank), source=0)
-    arrived = 0
-    do k = 1, plan%n_loose
-      associate (a => plan%loose_a(k), b => plan%loose_b(k))
-        if (k > plan%n_layered) degree(a) = degree(a) + 1
-        if (a == b) cycle
-        arrived(b) = arrived(b) + 1
-        if (arrived(b) <= n_rank) then
-          plan%arriving(b, arrived(b)) = k
-        else
-          degree(b) = degree(b) + 1
-        end if
-      end associate
-    end do
-    plan%n_loose_node = count(degree > 0)
-    allocate (plan%loose_node(plan%n_loose_node), plan%loose_pointer(plan%n_loose_node + 1))
-    allocate (plan%loose_entry(sum(degree)))
-    k = 0
-    plan%loose_pointer(1) = 1
+    left = 0
+    call each_end(count_end)
+    allocate (start(n_node + 1), of_node(sum(left)))
+    start(1) = 1
     do i = 1, n_node
-      if (degree(i) == 0) cycle
-      k = k + 1
-      plan%loose_node(k) = i
-      plan%loose_pointer(k + 1) = plan%loose_pointer(k) + degree(i)
-      row(i) = plan%loose_pointer(k)
+      start(i + 1) = start(i) + left(i)
     end do
-    arrived = 0
-    do k = 1, plan%n_loose
-      associate (a => plan%loose_a(k), b => plan%loose_b(k))
-        if (k > plan%n_layered) call enter(a, k)
-        if (a == b) cycle
-        arrived(b) = arrived(b) + 1
-        if (arrived(b) > n_rank) call enter(b, -k)
-      end associate
+    left = 0
+    call each_end(note_end)
+    allocate (plan%end_from(n_chunk + 1), plan%end_node(size(of_node)), plan%end_cable(size(of_node)))
+    k = 0
+    do chunk = 1, n_chunk
+      plan%end_from(chunk) = k + 1
+      most = maxval(left((chunk - 1)*chunk_size + 1:min(n_node, chunk*chunk_size)))
+      do rank = 0, most - 1
+        do i = (chunk - 1)*chunk_size + 1, min(n_node, chunk*chunk_size)
+          if (rank >= left(i)) cycle
+          k = k + 1
+          plan%end_node(k) = i
+          plan%end_cable(k) = of_node(start(i) + rank)
+        end do
+      end do
     end do
+    plan%end_from(n_chunk + 1) = k + 1
 
   contains
 
-    subroutine enter(node, entry)
+    !> Ends that no block adds up, in slot order; the first arrivals at a node are dealt with here.
+    subroutine each_end(take)
+      interface
+        subroutine take(node, entry)
+          integer, intent(in) :: node, entry
+        end subroutine take
+      end interface
+      integer :: k
+      arrived = 0
+      do k = 1, plan%n_loose
+        associate (a => plan%loose_a(k), b => plan%loose_b(k))
+          if (k > plan%n_layered) call take(a, k)
+          if (a == b) cycle
+          arrived(b) = arrived(b) + 1
+          if (arrived(b) <= n_rank) then
+            plan%arriving(b, arrived(b)) = k
+          else
+            call take(b, -k)
+          end if
+        end associate
+      end do
+    end subroutine each_end
+
+    subroutine count_end(node, entry)
       integer, intent(in) :: node, entry
-      plan%loose_entry(row(node)) = entry
-      row(node) = row(node) + 1
-    end subroutine enter
+      if (entry /= 0) left(node) = left(node) + 1
+    end subroutine count_end
+
+    subroutine note_end(node, entry)
+      integer, intent(in) :: node, entry
+      of_node(start(node) + left(node)) = entry
+      left(node) = left(node) + 1
+    end subroutine note_end
 
   end subroutine build_loose_incidence
 

@@ -39,7 +39,6 @@ module castnet_cable_force
     real(wp), allocatable :: rest(:, :)     !! (:,3) [N]
     integer, allocatable :: near_from(:)    !! (chunks + 1) where a chunk begins in `near`
     integer, allocatable :: near(:)         !! further diagonals with cables that begin or end in a chunk, ascending
-    integer, allocatable :: loose_from(:)   !! (chunks + 1) where a chunk's nodes begin in the plan's loose_node
     real(wp), allocatable :: other(:, :)    !! (chunk_size,3) scratch: forces on a chunk's nodes besides the full diagonals' [N]
   end type slab_t
 
@@ -66,7 +65,6 @@ contains
       allocate (slabs(s)%other(chunk_size, 3), source=0.0_wp)
       allocate (slabs(s)%force(rows_before(slabs(s)) + window, 3, n_full), source=0.0_wp)
       allocate (slabs(s)%base(plan%n_diagonal), source=0)
-      call find_loose(slabs(s), plan)
       call find_near(slabs(s), plan)
       rows = 0
       do d = n_full + 1, plan%n_diagonal
@@ -78,22 +76,6 @@ contains
       allocate (slabs(s)%rest(rows, 3), source=0.0_wp)
     end do
   end subroutine new_slabs
-
-  !> Where the loose cables' nodes of each chunk begin.
-  subroutine find_loose(slab, plan)
-    type(slab_t), intent(inout) :: slab
-    type(cable_plan_t), intent(in) :: plan
-    integer :: chunk, j
-    allocate (slab%loose_from((slab%last - slab%first + chunk_size)/chunk_size + 1))
-    j = 1
-    do chunk = 1, size(slab%loose_from)
-      do while (j <= plan%n_loose_node)
-        if (plan%loose_node(j) >= slab%first + (chunk - 1)*chunk_size) exit
-        j = j + 1
-      end do
-      slab%loose_from(chunk) = j
-    end do
-  end subroutine find_loose
 
   !> Which diagonals besides the full ones matter to each chunk: there may be hundreds.
   subroutine find_near(slab, plan)
@@ -608,9 +590,10 @@ contains
         end do
       end do
     end if
-    if (slab%loose_from(chunk) == slab%loose_from(chunk + 1)) return
+    k = (begin - 1)/chunk_size + 1
+    if (plan%end_from(k) == plan%end_from(k + 1)) return
     clean = .false.
-    call add_loose(plan, slab%loose_from(chunk), slab%loose_from(chunk + 1) - 1, begin, loose_force, rest)
+    call add_ends(plan, plan%end_from(k), plan%end_from(k + 1) - 1, begin, loose_force, rest)
   end subroutine chunk_rest
 
   !> total = total + away: cables that begin here.
@@ -646,33 +629,25 @@ contains
     end do
   end subroutine subtract_arriving
 
-  !> The loose cables' share of the force on loose nodes low..high, in the chunk from `begin`.
-  subroutine add_loose(plan, low, high, begin, loose_force, force)
+  !> Ends low..high of loose cables, at nodes of the chunk from `begin`.
+  subroutine add_ends(plan, low, high, begin, loose_force, force)
     type(cable_plan_t), intent(in) :: plan
     integer, intent(in) :: low, high, begin
     real(wp), intent(in) :: loose_force(0:plan%n_loose, 3)
     real(wp), intent(inout) :: force(chunk_size, 3)
-    real(wp) :: fx, fy, fz, towards
-    integer :: j, p, k, i
+    real(wp) :: towards
+    integer :: j, k, i
 
     do j = low, high
-      i = plan%loose_node(j) - begin + 1
-      fx = force(i, 1)
-      fy = force(i, 2)
-      fz = force(i, 3)
-      do p = plan%loose_pointer(j), plan%loose_pointer(j + 1) - 1
-        k = abs(plan%loose_entry(p))
-        ! A factor, not a branch: at which end of its cable a node lies nobody can predict.
-        towards = real(sign(1, plan%loose_entry(p)), wp)
-        fx = fx + towards*loose_force(k, 1)
-        fy = fy + towards*loose_force(k, 2)
-        fz = fz + towards*loose_force(k, 3)
-      end do
-      force(i, 1) = fx
-      force(i, 2) = fy
-      force(i, 3) = fz
+      i = plan%end_node(j) - begin + 1
+      k = abs(plan%end_cable(j))
+      ! A factor, not a branch: at which end of its cable a node lies nobody can predict.
+      towards = real(sign(1, plan%end_cable(j)), wp)
+      force(i, 1) = force(i, 1) + towards*loose_force(k, 1)
+      force(i, 2) = force(i, 2) + towards*loose_force(k, 2)
+      force(i, 3) = force(i, 3) + towards*loose_force(k, 3)
     end do
-  end subroutine add_loose
+  end subroutine add_ends
 
   !> Sum in index order: the same bits whoever computed the terms.
   pure real(wp) function sum_in_order(n, term) result(total)
