@@ -46,6 +46,7 @@ module castnet_cable_plan
     integer :: n_layered = 0                   !! so many loose cables come first, in blocks whose first ends follow each other
     integer, allocatable :: block_start(:)     !! (blocks+1) loose cable that a block begins with
     integer, allocatable :: block_from(:)      !! (chunks+1) which blocks begin at a chunk's nodes
+    integer, allocatable :: block_needed(:)    !! (chunks) the last block that the sums of the chunks up to this one read
     integer, allocatable :: arriving(:, :)     !! (n_node,:) loose cables that end at a node; 0: no more
     integer, allocatable :: end_from(:)        !! (chunks+1) where a chunk's ends of loose cables begin that neither says
     integer, allocatable :: end_node(:)        !! node of such an end; a node's follow in slot order
@@ -332,6 +333,7 @@ contains
       end do
     end do
     plan%end_from(n_chunk + 1) = k + 1
+    call find_needed(plan, n_node)
 
   contains
 
@@ -370,5 +372,29 @@ contains
     end subroutine note_end
 
   end subroutine build_loose_incidence
+
+  !> How far the blocks must be done before a chunk's sums can be taken.
+  subroutine find_needed(plan, n_node)
+    type(cable_plan_t), intent(inout) :: plan
+    integer, intent(in) :: n_node
+    integer :: block_of(0:plan%n_loose), chunk, n_chunk, i, last
+    n_chunk = size(plan%block_from) - 1
+    block_of = 0                              ! single cables are done before all blocks
+    do i = 1, size(plan%block_start) - 1
+      block_of(plan%block_start(i):plan%block_start(i + 1) - 1) = i
+    end do
+    allocate (plan%block_needed(n_chunk))
+    last = 0
+    do chunk = 1, n_chunk
+      last = max(last, plan%block_from(chunk + 1) - 1)
+      do i = (chunk - 1)*chunk_size + 1, min(n_node, chunk*chunk_size)
+        last = max(last, maxval(block_of(plan%arriving(i, :))))
+      end do
+      do i = plan%end_from(chunk), plan%end_from(chunk + 1) - 1
+        last = max(last, block_of(abs(plan%end_cable(i))))
+      end do
+      plan%block_needed(chunk) = last
+    end do
+  end subroutine find_needed
 
 end module castnet_cable_plan

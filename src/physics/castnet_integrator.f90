@@ -366,15 +366,19 @@ contains
     if (allocated(cables%support_power)) power(2) = sum_in_order(size(cables%support_power), cables%support_power)
   end subroutine sweep
 
-  !> All loose cables, on the slabs' threads where there are many.
+  !> Loose cables besides those that the sweep does as it goes: single ones and, for more than one slab, blocks,
+  !> on the slabs' threads where there are many.
   subroutine sweep_loose(plan, cables, n_pad, x, v, floor_tension)
     type(cable_plan_t), intent(in) :: plan
     type(cable_work_t), intent(inout) :: cables
     integer, intent(in) :: n_pad
     real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3), floor_tension
-    integer :: s, n
+    integer :: s, n, blocks, single
 
     n = size(cables%slabs)
+    blocks = 0
+    if (n > 1) blocks = size(cables%block_power)
+    single = plan%n_loose - plan%n_layered
     if (plan%n_loose < loose_worth_threads) n = 1
     if (n == 1) then
       call share(1)
@@ -388,12 +392,9 @@ contains
 
   contains
 
-    !> One of n equal parts of the blocks and of the others.
+    !> One of n equal parts.
     subroutine share(part)
       integer, intent(in) :: part
-      integer :: blocks, single
-      blocks = size(cables%block_power)
-      single = plan%n_loose - plan%n_layered
       if (blocks > 0) call block_cables(plan, begin(blocks, part), begin(blocks, part + 1) - 1, n_pad, x, v, floor_tension, &
                                         cables%loose_force, cables%block_power)
       call loose_cables(plan, plan%n_layered + begin(single, part), plan%n_layered + begin(single, part + 1) - 1, &
@@ -416,9 +417,11 @@ contains
     real(wp), intent(in) :: h, floor_tension
     real(wp), intent(in) :: x(n_pad, 3), v(n_pad, 3)
     real(wp), intent(inout) :: x0(n_pad, 3), v0(n_pad, 3), out1(n_pad, 3), out2(n_pad, 3)
-    integer :: b, m, c, r, r1, r2
+    integer :: b, m, c, r, r1, r2, block, needed
     logical :: has_field, clean
 
+    block = 1
+    if (size(cables%slabs) > 1) block = size(cables%block_power) + 1   ! they are done already
     has_field = any(model%gravity /= 0.0_wp) .or. model%orbit_rate /= 0.0_wp
     clean = .false.
     associate (plan => model%net%plan, net => model%net, w => cables%weight, f => slab%force, rest => slab%other)
@@ -426,6 +429,11 @@ contains
       do b = slab%first, slab%last, chunk_size
         m = min(chunk_size, slab%last - b + 1)
         call chunk_cables(plan, slab, b, b + m - 1, n_pad, x, v, floor_tension, cables%chunk_power((b - 1)/chunk_size + 1))
+        needed = plan%block_needed((b - 1)/chunk_size + 1)
+        if (block <= needed) then
+          call block_cables(plan, block, needed, n_pad, x, v, floor_tension, cables%loose_force, cables%block_power)
+          block = needed + 1
+        end if
         call chunk_rest(plan, slab, b, b + m - 1, cables%loose_force, rest, clean)
         if (allocated(cables%extra)) then
           rest(:m, :) = rest(:m, :) + cables%extra(b:b + m - 1, :)
