@@ -137,7 +137,8 @@ contains
         if (beginning(first(k)) > beginning(second(k)) + 1) call turn(k)
       end do
     end do
-    call along_chains()
+    call along_chains(size(first)/n_node)
+    call along_chains(size(first)/n_node + 1)
 
   contains
 
@@ -151,10 +152,10 @@ contains
       second(cable) = from
     end subroutine turn
 
-    !> From nodes with more than the mean, breadth first over second ends to one with less, never far.
-    subroutine along_chains()
-      integer :: start(n_node + 1), at(2*size(ends, 2)), queue(most_reached), by(n_node), mean, i, j, c, head, tail, node
-      mean = (size(ends, 2) + n_node - 1)/n_node
+    !> From nodes where more than `mean` begin, breadth first over second ends to one where fewer do, never far.
+    subroutine along_chains(mean)
+      integer, intent(in) :: mean
+      integer :: start(n_node + 1), at(2*size(ends, 2)), queue(most_reached), by(n_node), i, j, c, head, tail, node
       call incident(n_node, ends, start, at)
       by = 0                                  ! the cable that a node was reached by; -1: where the chain begins
       do i = 1, n_node
