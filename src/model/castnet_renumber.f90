@@ -105,13 +105,14 @@ contains
     call find_lattice(graph, at, patch)
     call fill_gaps(graph, .false., at, patch)
     call close_seam(graph, at, patch)
-    do way = 1, 4
-      select case (way)
+    do way = 1, 8
+      select case (modulo(way, 4))
       case (1); key = at
       case (2); key = at([2, 1], :)
       case (3); key(1, :) = at(1, :); key(2, :) = at(1, :) + at(2, :)
-      case (4); key(1, :) = at(1, :); key(2, :) = at(1, :) - at(2, :)
+      case (0); key(1, :) = at(1, :); key(2, :) = at(1, :) - at(2, :)
       end select
+      if (way > 4) call fold_rows(patch, key)
       call keep_cheaper(by_rows(base, key, patch), n, cable_nodes, order, least)
       if (found()) return
     end do
@@ -137,6 +138,32 @@ contains
     end function found
 
   end subroutine find_order
+
+  !> Put the rows of the second half of a patch each behind one of the first half. In a hexagon of triangles the
+  !> rows grow and shrink again, and two of them are always as long together: so what joins a
+  !> row to the next has one offset throughout.
+  pure subroutine fold_rows(patch, key)
+    integer, intent(in) :: patch(:)
+    integer, intent(inout) :: key(:, :)
+    integer :: low(0:maxval(patch)), high(0:maxval(patch)), rows(0:maxval(patch)), width, p
+    low = huge(low)
+    high = -huge(high)
+    do p = 1, size(patch)
+      if (patch(p) == 0) cycle
+      low(patch(p)) = min(low(patch(p)), key(2, p))
+      high(patch(p)) = max(high(patch(p)), key(2, p))
+    end do
+    rows = 1
+    where (high >= low) rows = (high - low)/2 + 1
+    width = maxval(key(1, :)) - minval(key(1, :)) + 1
+    do p = 1, size(patch)
+      if (patch(p) == 0) cycle
+      key(2, p) = key(2, p) - low(patch(p))
+      if (key(2, p) < rows(patch(p))) cycle
+      key(2, p) = key(2, p) - rows(patch(p))
+      key(1, p) = key(1, p) + width
+    end do
+  end subroutine fold_rows
 
   pure elemental integer function floor_half(i)
     integer, intent(in) :: i
