@@ -22,11 +22,12 @@ module castnet_cable_plan
   integer, parameter :: shortest_run = 16   !! cables that make a diagonal worth its loop
   real(wp), parameter :: never_taut = 1.0e30_wp  !! natural length of a phantom cable [m]
 
-  integer, parameter :: n_full = 2          !! diagonals that the kernel does best (castnet_cable_force)
+  integer, parameter :: most_full = 3       !! diagonals that the kernel does best (castnet_cable_force)
   integer, parameter :: worth_layers = 16   !! cables besides diagonals that are worth being put in layers
   integer, parameter :: common_rank = 4     !! as many arrivals as every fourth node has are gathered in one loop
 
   ! What a sweep costs, in cables of the full diagonals. Measured; only ratios matter.
+  real(wp), parameter :: cost_of_third = 1.3_wp  !! a cable of the third
   real(wp), parameter :: cost_of_other = 1.8_wp  !! a cable of a further diagonal
   real(wp), parameter :: cost_of_run = 20.0_wp   !! such a diagonal, besides its cables
   real(wp), parameter :: cost_of_loose = 2.4_wp  !! a cable in a layer
@@ -35,6 +36,7 @@ module castnet_cable_plan
 
   type :: cable_plan_t
     integer :: n_diagonal = 0
+    integer :: n_full = 0                      !! of them, the first ones, that have room for a cable at every node
     integer :: max_offset = 0
     integer, allocatable :: offset(:)          !! (n_diagonal) second node minus first node, > 0
     integer, allocatable :: first(:)           !! (n_diagonal) first node of its first cable
@@ -85,9 +87,10 @@ contains
     n_cable = size(cable_nodes, 2)
     call find_runs(n_node, cable_nodes, runs)
     call longest_first(runs)
-    call drop_dear(runs)
+    call drop_dear(n_node, runs)
     allocate (plan%slot_of_cable(n_cable))
     plan%n_diagonal = runs%n
+    plan%n_full = count([(is_full(n_node, runs, d), d=1, runs%n)])
     plan%offset = runs%offset(:runs%n)
     plan%first = runs%first(:runs%n)
     plan%last = runs%last(:runs%n)
@@ -189,7 +192,8 @@ contains
   end subroutine find_runs
 
   !> Leave diagonals that are better as layers: short ones, and those with many phantoms.
-  subroutine drop_dear(runs)
+  subroutine drop_dear(n_node, runs)
+    integer, intent(in) :: n_node
     type(runs_t), intent(inout) :: runs
     integer :: new(0:runs%n), n_real(0:runs%n), d, n, c
     n_real = 0
@@ -199,7 +203,7 @@ contains
     new = 0
     n = 0
     do d = 1, runs%n
-      if (cost_of_diagonal(runs, d) > cost_of_loose*n_real(d)) cycle
+      if (cost_of_diagonal(n_node, runs, d) > cost_of_loose*n_real(d)) cycle
       n = n + 1
       new(d) = n
       runs%offset(n) = runs%offset(d)
@@ -212,12 +216,23 @@ contains
     end do
   end subroutine drop_dear
 
-  pure real(wp) function cost_of_diagonal(runs, d) result(cost)
+  pure real(wp) function cost_of_diagonal(n_node, runs, d) result(cost)
+    integer, intent(in) :: n_node, d
     type(runs_t), intent(in) :: runs
-    integer, intent(in) :: d
     cost = real(runs%last(d) - runs%first(d) + 1, wp)
-    if (d > n_full) cost = cost_of_other*cost + cost_of_run
+    if (.not. is_full(n_node, runs, d)) then
+      cost = cost_of_other*cost + cost_of_run
+    else if (d > 2) then
+      cost = cost_of_third*cost
+    end if
   end function cost_of_diagonal
+
+  !> The two longest in any case, the third if most nodes have such a cable.
+  pure logical function is_full(n_node, runs, d)
+    integer, intent(in) :: n_node, d
+    type(runs_t), intent(in) :: runs
+    is_full = d <= 2 .or. (d <= most_full .and. 2*(runs%last(d) - runs%first(d) + 1) > n_node)
+  end function is_full
 
   !> What a sweep over cables that join these nodes costs, in cables of the full diagonals.
   real(wp) function sweep_cost(n_node, cable_nodes) result(cost)
@@ -227,10 +242,10 @@ contains
     integer :: d, c
     call find_runs(n_node, cable_nodes, runs)
     call longest_first(runs)
-    call drop_dear(runs)
+    call drop_dear(n_node, runs)
     cost = 0.0_wp
     do d = 1, runs%n
-      cost = cost + cost_of_diagonal(runs, d)
+      cost = cost + cost_of_diagonal(n_node, runs, d)
     end do
     do c = 1, size(runs%run_of)
       if (runs%run_of(c) == 0) &
@@ -238,11 +253,11 @@ contains
     end do
   end function sweep_cost
 
-  !> The two longest diagonals come first: the kernel is fastest with those.
+  !> The longest diagonals come first: the kernel is fastest with those.
   pure subroutine longest_first(runs)
     type(runs_t), intent(inout) :: runs
     integer :: place, d
-    do place = 1, min(n_full, runs%n)
+    do place = 1, min(most_full, runs%n)
       d = place - 1 + maxloc(runs%last(place:runs%n) - runs%first(place:runs%n), dim=1)
       if (d == place) cycle
       runs%offset([place, d]) = runs%offset([d, place])

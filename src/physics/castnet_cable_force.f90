@@ -20,21 +20,20 @@ module castnet_cable_force
             survey_cables, slot_tensions
 
   integer, parameter :: lanes = 8         !! partial sums of a fixed-order sum
-  integer, parameter :: n_full = 2        !! diagonals that every node has room for: all those of a square net
   integer, parameter :: window = 8*chunk_size !! nodes that a slab's forces move on by
   real(wp), parameter :: smallest_square = 1.0e-60_wp !! keeps the reciprocal of a length finite [m2]
 
   !> A range of nodes that one thread works on, with the forces of its cables on their
   !> first ends. The first two diagonals have a row for every node of the window, zero where
   !> no cable begins, which saves the kernel all comparisons. Other nets may have hundreds of
-  !> short diagonals: those have rows for their cables only.
+  !> short diagonals: those have rows for their cables only. A long third one is kept as the first two are.
   type :: slab_t
     integer :: first = 1, last = 0          !! nodes; first is at the start of a chunk
     integer :: reach = 0                    !! longest offset of the full diagonals
-    integer :: offset(n_full) = 0           !! of the full diagonals; 0 where there is none
+    integer :: offset(3) = 0                !! of the full diagonals; 0 where there is none
     integer :: shift = 0                    !! node i is row i - shift of the window
     logical :: moves = .false.              !! the window is shorter than the slab
-    real(wp), allocatable :: force(:, :, :) !! (window,3,2) of cable (a, a+offset) [N]
+    real(wp), allocatable :: force(:, :, :) !! (window,3,2 or 3) of cable (a, a+offset) [N]
     integer, allocatable :: base(:)         !! (n_diagonal) from the third on, the cable from a is row base + a of
     real(wp), allocatable :: rest(:, :)     !! (:,3) [N]
     integer, allocatable :: near_from(:)    !! (chunks + 1) where a chunk begins in `near`
@@ -51,7 +50,7 @@ contains
     integer, intent(in) :: n_node, n_slab
     integer :: n_chunk, s, used, d, begin, finish, rows, full
 
-    full = min(n_full, plan%n_diagonal)
+    full = plan%n_full
     n_chunk = (n_node + chunk_size - 1)/chunk_size
     used = max(1, min(n_slab, n_chunk))
     allocate (slabs(used))
@@ -63,11 +62,11 @@ contains
       slabs(s)%moves = slabs(s)%last - slabs(s)%first + 1 > window
       slabs(s)%shift = slabs(s)%first - 1 - rows_before(slabs(s))
       allocate (slabs(s)%other(chunk_size, 3), source=0.0_wp)
-      allocate (slabs(s)%force(rows_before(slabs(s)) + window, 3, n_full), source=0.0_wp)
+      allocate (slabs(s)%force(rows_before(slabs(s)) + window, 3, max(2, full)), source=0.0_wp)
       allocate (slabs(s)%base(plan%n_diagonal), source=0)
       call find_near(slabs(s), plan)
       rows = 0
-      do d = n_full + 1, plan%n_diagonal
+      do d = plan%n_full + 1, plan%n_diagonal
         begin = max(plan%first(d), slabs(s)%first - plan%offset(d))
         finish = min(plan%last(d), slabs(s)%last)
         slabs(s)%base(d) = rows + 1 - begin
@@ -86,7 +85,7 @@ contains
     n_chunk = (slab%last - slab%first + chunk_size)/chunk_size
     allocate (slab%near_from(n_chunk + 1), source=0)
     do fill = 0, 1
-      do d = n_full + 1, plan%n_diagonal
+      do d = plan%n_full + 1, plan%n_diagonal
         k = 0                          ! last chunk that has it
         call mark(plan%first(d), plan%last(d))
         call mark(plan%first(d) + plan%offset(d), plan%last(d) + plan%offset(d))
@@ -133,7 +132,7 @@ contains
     rows = rows_before(slab)
     if (begin + chunk_size - 1 - slab%shift <= rows + window) return
     by = begin - 1 - rows - slab%shift
-    do d = 1, n_full
+    do d = 1, size(slab%force, 3)
       do c = 1, 3
         do k = 1, rows
           slab%force(k, c, d) = slab%force(k + by, c, d)
@@ -183,14 +182,14 @@ contains
 
     total = 0.0_wp
     if (slab%moves) call move_window(slab, begin)
-    full = min(n_full, plan%n_diagonal)
+    full = plan%n_full
     chunk = (begin - slab%first)/chunk_size + 1
     do i = 1, full + slab%near_from(chunk + 1) - slab%near_from(chunk)
       d = i
       if (i > full) d = slab%near(slab%near_from(chunk) + i - full - 1)
       lo = max(begin, plan%first(d))
       hi = min(finish, plan%last(d))
-      if (d <= n_full .and. slab%moves) then      ! else these rows never were anything but zero
+      if (d <= full .and. slab%moves) then      ! else these rows never were anything but zero
         if (lo > begin) slab%force(begin - slab%shift:min(lo - 1, finish) - slab%shift, :, d) = 0.0_wp
         if (hi < finish) slab%force(max(hi + 1, begin) - slab%shift:finish - slab%shift, :, d) = 0.0_wp
       end if
@@ -218,7 +217,7 @@ contains
 
     slot = plan%start(d) + a - plan%first(d)
     b = a + plan%offset(d)
-    if (d <= n_full) then
+    if (d <= plan%n_full) then
       row = a - slab%shift
       call strided_tension(m, x(a, 1), x(a, 2), x(a, 3), x(b, 1), x(b, 2), x(b, 3), &
                            v(a, 1), v(a, 2), v(a, 3), v(b, 1), v(b, 2), v(b, 3), &
@@ -547,8 +546,8 @@ contains
     end do
   end subroutine tensions_of
 
-  !> Force on the nodes begin..finish from cables that are in neither of the two full
-  !> diagonals: further diagonals in their order, then loose cables: blocks, arrivals, the others in slot order. `rest` is
+  !> Force on the nodes begin..finish from cables that are in neither of the first two
+  !> diagonals: a full third one, further diagonals in their order, then loose cables: blocks, arrivals, the others in slot order. `rest` is
   !> zero where there are none; so it is not written again while it stays so (`clean`).
   subroutine chunk_rest(plan, slab, begin, finish, loose_force, rest, clean)
     type(cable_plan_t), intent(in) :: plan
@@ -559,9 +558,16 @@ contains
     logical, intent(inout) :: clean
     integer :: c, d, o, lo, hi, chunk, i, k
 
-    if (.not. clean) rest = 0.0_wp
     chunk = (begin - slab%first)/chunk_size + 1
-    clean = slab%near_from(chunk) == slab%near_from(chunk + 1)
+    if (plan%n_full == 3) then
+      k = begin - slab%shift
+      do c = 1, 3
+        call difference(finish - begin + 1, slab%force(k, c, 3), slab%force(k - slab%offset(3), c, 3), rest(1, c))
+      end do
+    else if (.not. clean) then
+      rest = 0.0_wp
+    end if
+    clean = plan%n_full < 3 .and. slab%near_from(chunk) == slab%near_from(chunk + 1)
     do i = slab%near_from(chunk), slab%near_from(chunk + 1) - 1
       d = slab%near(i)
       lo = max(begin, plan%first(d))
@@ -595,6 +601,17 @@ contains
     clean = .false.
     call add_ends(plan, plan%end_from(k), plan%end_from(k + 1) - 1, begin, loose_force, rest)
   end subroutine chunk_rest
+
+  !> total = away - back: cables that begin and end here.
+  pure subroutine difference(m, away, back, total)
+    integer, intent(in) :: m
+    real(wp), intent(in) :: away(m), back(m)
+    real(wp), intent(out) :: total(m)
+    integer :: k
+    do k = 1, m
+      total(k) = away(k) - back(k)
+    end do
+  end subroutine difference
 
   !> total = total + away: cables that begin here.
   pure subroutine add(m, away, total)
