@@ -159,12 +159,12 @@ contains
       call incident(n_node, ends, start, at)
       by = 0                                  ! the cable that a node was reached by; -1: where the chain begins
       do i = 1, n_node
-        do while (beginning(i) > mean)
+        do while (beginning(i) > mean .and. by(i) == 0)
           queue(1) = i
           by(i) = -1
           head = 1
           tail = 1
-          node = 0
+          node = 0                        ! none found
           search: do while (head <= tail)
             do j = start(queue(head)), start(queue(head) + 1) - 1
               c = at(j)
@@ -179,14 +179,13 @@ contains
             end do
             head = head + 1
           end do search
-          do while (node /= 0)
+          if (node == 0) exit             ! what was reached stays marked: from there no other search gets anywhere
+          do while (by(node) > 0)
             c = by(node)
-            if (c < 0) exit
             node = first(c)
             call turn(c)
           end do
           by(queue(:tail)) = 0
-          if (node == 0) exit
         end do
       end do
     end subroutine along_chains
