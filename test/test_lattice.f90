@@ -3,9 +3,12 @@
 module test_lattice
   use, intrinsic :: iso_fortran_env, only: int64
   use bench_nets, only: shape_of
+  use castnet_cable_layers, only: layers_t, arrange_layers
+  use castnet_graph, only: graph_t, new_graph
   use castnet_kinds, only: wp
   use castnet_model, only: model_t, method_adaptive, method_midpoint, method_rk4
   use castnet_net_builder, only: finish_net
+  use castnet_node_paths, only: follow_paths
   use castnet_renumber, only: renumber_net
   use castnet_state, only: state_t
   use castnet_stepper, only: work_t
@@ -26,6 +29,8 @@ contains
     call test_case('lattice: a spiral has no seam', spiral)
     call test_case('lattice: triangles in a hexagon run along diagonals', triangles)
     call test_case('lattice: a lattice with strangers keeps its diagonals', strangers)
+    call test_case('lattice: an irregular net is numbered along paths of its cables', paths)
+    call test_case('lattice: loose cables begin evenly', even_layers)
     call test_case('lattice: forces on nets of every kind, cable by cable', forces)
     call test_case('lattice: the same bits on 1, 2 and 3 threads', same_bits)
   end subroutine run_test_lattice
@@ -105,19 +110,71 @@ contains
     call expect(model%net%plan%n_loose == 0, 'no loose cable')
   end subroutine spiral
 
+  !> Three diagonals; what joins the two halves across the fold is one row of cables in each of two directions.
   subroutine triangles()
     type(model_t) :: model
     real(wp), allocatable :: x(:, :), v(:, :)
     integer, allocatable :: cables(:, :)
-    integer :: seed
+    integer :: seed, n, radius
     seed = 7
-    call shape_of('triangular', 60, x, cables)
-    call renumbered(cables, size(x, 2), seed, model, x, v)
-    associate (plan => model%net%plan)
-      call expect(plan%n_loose - plan%n_layered < 0.02_wp*size(cables, 2), 'nearly all cables in diagonals or layers')
-      call expect(plan%n_slot < 1.1_wp*size(cables, 2), 'few phantoms')
-    end associate
+    do n = 20, 60, 10
+      radius = nint(0.5774_wp*n)
+      call shape_of('triangular', n, x, cables)
+      call renumbered(cables, size(x, 2), seed, model, x, v)
+      associate (plan => model%net%plan)
+        call expect(plan%n_full == 3, 'three full diagonals')
+        call expect(sum(plan%last(:3) - plan%first(:3) + 1) - count(plan%stiffness(:plan%start(3) + plan%last(3) - plan%first(3)) &
+          <= 0.0_wp) == size(cables, 2) - 4*radius, 'all cables but those across the fold')
+      end associate
+    end do
   end subroutine triangles
+
+  !> Nodes that follow a neighbour, counted cable by cable; the order holds every node once.
+  subroutine paths()
+    type(graph_t) :: graph
+    real(wp), allocatable :: x(:, :)
+    integer, allocatable :: cables(:, :), order(:), place(:)
+    integer :: n, seed, i, c, followed
+    do n = 11, 61, 25
+      call shape_of('irregular', n, x, cables)
+      seed = n
+      place = permutation(size(x, 2), seed)
+      cables = reshape(place(reshape(cables, [size(cables)])), shape(cables))
+      call new_graph(size(x, 2), cables, huge(1), graph)
+      allocate (order(size(x, 2)))
+      call follow_paths(graph, order)
+      place = 0
+      do i = 1, size(order)
+        call expect(place(order(i)) == 0, 'every node once')
+        place(order(i)) = i
+      end do
+      followed = 0
+      do c = 1, size(cables, 2)
+        if (abs(place(cables(1, c)) - place(cables(2, c))) == 1) followed = followed + 1
+      end do
+      call expect(followed > 0.9_wp*size(x, 2), 'nine nodes of ten follow a neighbour')
+      deallocate (order)
+    end do
+  end subroutine paths
+
+  !> In a closed ring one cable can begin at every node, however the ring is numbered and its cables point:
+  !> then there is one layer, and no phantom.
+  subroutine even_layers()
+    integer, parameter :: n = 300
+    type(layers_t) :: layers
+    integer :: cables(2, n), node(n), seed, i, from
+    seed = 23
+    do i = 1, 5
+      node = permutation(n, seed)
+      do from = 1, n
+        cables(:, from) = node(merge([from, modulo(from, n) + 1], [modulo(from, n) + 1, from], modulo(from*i, 7) < 3))
+      end do
+      call arrange_layers(n, cables, layers)
+      call expect(layers%n == n, 'no phantom')
+      call expect(layers%n_layered == n, 'none single')
+      call expect(all(layers%a == [(from, from=1, n)]), 'one begins at every node')
+    end do
+  end subroutine even_layers
 
   !> A few random cables across hexagons, and some chains: most of the lattice is still found.
   subroutine strangers()
