@@ -236,6 +236,25 @@ contains
   !> Source: physics.md section 1. The force on the first end points to the second.
   !> y and z are added before x: so a net that is symmetric about the flight direction x
   !> stays symmetric to the last bit, although it is chaotic.
+  pure subroutine tension_law(dx, dy, dz, du, dv, dw, stiffness, natural_length, damping, floor_tension, pull, power)
+    real(wp), intent(in) :: dx, dy, dz  !! from the first end to the second [m]
+    real(wp), intent(in) :: du, dv, dw  !! how that changes [m/s]
+    real(wp), intent(in) :: stiffness, natural_length, damping
+    real(wp), intent(in) :: floor_tension
+    real(wp), intent(out) :: pull       !! tension over length [N/m]
+    real(wp), intent(out) :: power      !! dissipated [W]
+    real(wp) :: length, inverse, rate, spring, tension, stretch
+    length = sqrt(max(dx*dx + (dy*dy + dz*dz), smallest_square))
+    inverse = 1.0_wp/length
+    stretch = length - natural_length
+    rate = (dx*du + (dy*dv + dz*dw))*inverse
+    spring = stiffness*stretch
+    tension = merge(max(floor_tension, spring + damping*rate), 0.0_wp, stretch > 0.0_wp)
+    power = merge((tension - spring)*rate, 0.0_wp, stretch > 0.0_wp)
+    pull = tension*inverse
+  end subroutine tension_law
+
+  !> Cables whose first and whose second ends follow each other.
   pure subroutine strided_tension(m, ax, ay, az, bx, by, bz, au, av, aw, bu, bv, bw, &
                                   stiffness, natural_length, damping, floor_tension, fx, fy, fz, power)
     integer, intent(in) :: m
@@ -245,24 +264,18 @@ contains
     real(wp), intent(in) :: floor_tension
     real(wp), intent(out) :: fx(m), fy(m), fz(m)  !! force on the first end [N]
     real(wp), intent(out) :: power(m)             !! dissipated [W]
-    real(wp) :: dx, dy, dz, length, inverse, rate, spring, tension, stretch
+    real(wp) :: dx, dy, dz, pull
     integer :: k
 
     do k = 1, m
       dx = bx(k) - ax(k)
       dy = by(k) - ay(k)
       dz = bz(k) - az(k)
-      length = sqrt(max(dx*dx + (dy*dy + dz*dz), smallest_square))
-      inverse = 1.0_wp/length
-      stretch = length - natural_length(k)
-      rate = (dx*(bu(k) - au(k)) + (dy*(bv(k) - av(k)) + dz*(bw(k) - aw(k))))*inverse
-      spring = stiffness(k)*stretch
-      tension = merge(max(floor_tension, spring + damping(k)*rate), 0.0_wp, stretch > 0.0_wp)
-      power(k) = merge((tension - spring)*rate, 0.0_wp, stretch > 0.0_wp)
-      tension = tension*inverse
-      fx(k) = tension*dx
-      fy(k) = tension*dy
-      fz(k) = tension*dz
+      call tension_law(dx, dy, dz, bu(k) - au(k), bv(k) - av(k), bw(k) - aw(k), &
+                       stiffness(k), natural_length(k), damping(k), floor_tension, pull, power(k))
+      fx(k) = pull*dx
+      fy(k) = pull*dy
+      fz(k) = pull*dz
     end do
   end subroutine strided_tension
 
@@ -294,7 +307,7 @@ contains
     end do
   end subroutine block_cables
 
-  !> The tension law for cables whose first ends follow each other and whose second ends are gathered.
+  !> Cables whose first ends follow each other and whose second ends are gathered.
   pure subroutine half_gathered_tension(m, ax, ay, az, au, av, aw, b, n_pad, x, v, stiffness, natural_length, damping, &
                                         floor_tension, fx, fy, fz, power)
     integer, intent(in) :: m, n_pad
@@ -305,28 +318,22 @@ contains
     real(wp), intent(in) :: floor_tension
     real(wp), intent(out) :: fx(m), fy(m), fz(m)  !! force on the first end [N]
     real(wp), intent(out) :: power(m)             !! dissipated [W]
-    real(wp) :: dx, dy, dz, length, inverse, rate, spring, tension, stretch
+    real(wp) :: dx, dy, dz, pull
     integer :: k
 
     do k = 1, m
       dx = x(b(k), 1) - ax(k)
       dy = x(b(k), 2) - ay(k)
       dz = x(b(k), 3) - az(k)
-      length = sqrt(max(dx*dx + (dy*dy + dz*dz), smallest_square))
-      inverse = 1.0_wp/length
-      stretch = length - natural_length(k)
-      rate = (dx*(v(b(k), 1) - au(k)) + (dy*(v(b(k), 2) - av(k)) + dz*(v(b(k), 3) - aw(k))))*inverse
-      spring = stiffness(k)*stretch
-      tension = merge(max(floor_tension, spring + damping(k)*rate), 0.0_wp, stretch > 0.0_wp)
-      power(k) = merge((tension - spring)*rate, 0.0_wp, stretch > 0.0_wp)
-      tension = tension*inverse
-      fx(k) = tension*dx
-      fy(k) = tension*dy
-      fz(k) = tension*dz
+      call tension_law(dx, dy, dz, v(b(k), 1) - au(k), v(b(k), 2) - av(k), v(b(k), 3) - aw(k), &
+                       stiffness(k), natural_length(k), damping(k), floor_tension, pull, power(k))
+      fx(k) = pull*dx
+      fy(k) = pull*dy
+      fz(k) = pull*dz
     end do
   end subroutine half_gathered_tension
 
-  !> The same law for loose cables first..last, both of whose ends are gathered.
+  !> Loose cables first..last, both of whose ends are gathered.
   subroutine loose_cables(plan, first, last, n_pad, x, v, floor_tension, force, power)
     type(cable_plan_t), intent(in) :: plan
     integer, intent(in) :: first, last
@@ -335,7 +342,7 @@ contains
     real(wp), intent(in) :: floor_tension
     real(wp), intent(inout) :: force(0:plan%n_loose, 3)  !! on the first end [N]
     real(wp), intent(inout) :: power(plan%n_loose)     !! dissipated [W]
-    real(wp) :: dx, dy, dz, length, inverse, rate, spring, tension, stretch
+    real(wp) :: dx, dy, dz, pull
     integer :: k, a, b, slot
 
     do k = first, last
@@ -345,17 +352,11 @@ contains
       dx = x(b, 1) - x(a, 1)
       dy = x(b, 2) - x(a, 2)
       dz = x(b, 3) - x(a, 3)
-      length = sqrt(max(dx*dx + (dy*dy + dz*dz), smallest_square))
-      inverse = 1.0_wp/length
-      stretch = length - plan%natural_length(slot)
-      rate = (dx*(v(b, 1) - v(a, 1)) + (dy*(v(b, 2) - v(a, 2)) + dz*(v(b, 3) - v(a, 3))))*inverse
-      spring = plan%stiffness(slot)*stretch
-      tension = merge(max(floor_tension, spring + plan%applied_damping(slot)*rate), 0.0_wp, stretch > 0.0_wp)
-      power(k) = merge((tension - spring)*rate, 0.0_wp, stretch > 0.0_wp)
-      tension = tension*inverse
-      force(k, 1) = tension*dx
-      force(k, 2) = tension*dy
-      force(k, 3) = tension*dz
+      call tension_law(dx, dy, dz, v(b, 1) - v(a, 1), v(b, 2) - v(a, 2), v(b, 3) - v(a, 3), &
+                       plan%stiffness(slot), plan%natural_length(slot), plan%applied_damping(slot), floor_tension, pull, power(k))
+      force(k, 1) = pull*dx
+      force(k, 2) = pull*dy
+      force(k, 3) = pull*dz
     end do
   end subroutine loose_cables
 
@@ -498,7 +499,7 @@ contains
     end do
   end subroutine gather_ends
 
-  !> Tension of every slot of the plan [N], phantoms included, by the law of `strided_tension`.
+  !> Tension of every slot of the plan [N], phantoms included, by the law of `tension_law`.
   pure subroutine slot_tensions(plan, n_pad, x, v, floor_tension, tension)
     type(cable_plan_t), intent(in) :: plan
     integer, intent(in) :: n_pad
