@@ -23,7 +23,7 @@ from instructions import instructions
 HERE = os.path.dirname(os.path.abspath(__file__))
 FLAGS = "-O3 -march=native -ffp-contract=off -fno-math-errno -fno-trapping-math -mprefer-vector-width=512".split()
 
-CABLE = 29                     # additions, multiplications and maxima of strided_tension, beside one root and one division
+CABLE = 29                     # additions, multiplications and maxima of the tension law, beside one root and one division
 INNER, LAST, KICK = 27, 63, 36  # of a node's update in the three directions
 PARAMETERS = 6                 # doubles of a node's two cables: stiffness, natural length, damping
 # doubles of a node that a sweep reads and writes (a line that is only written is read first)
