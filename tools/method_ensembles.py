@@ -33,7 +33,7 @@ COMPARISONS = {
     "cubesat": ("cubesat", CUBESAT, "1e-5", 256, 512),
     "rocket_soft": ("rocket_x_0.4", ROCKET | ROUGH | PLASTIC, "2e-4", 96, 192),
     "rocket_closing_x": ("rocket_closing_x_1.1", CLOSING, "1e-4", 192, 512),
-    "rocket_closing_z": ("rocket_closing_z_1.1", CLOSING, "1e-4", 96, 512),
+    "rocket_closing_z": ("rocket_closing_z_1.1", CLOSING, "1e-4", 192, 512),
     "rocket_cables": ("rocket_x_0.4", ROCKET | CABLES, "2e-4", 96, 192),
     "cubesat_soft": ("cubesat", CUBESAT | ROUGH | PLASTIC, "3e-5", 96, 192),
     "cubesat_cables": ("cubesat", CUBESAT | CABLES, "3e-5", 96, 192),

@@ -165,7 +165,7 @@ contains
       speed = scene%bullets%speed
       whose = 'the bullets'' speed'
       if (model%method == method_midpoint .and. allocated(model%closing)) then
-        speed = speed + model%closing%winch_speed
+        speed = speed + closing_speed(model, scene%bullets%mass)
         whose = 'the speed of bullets and winches together'
       end if
       if (report%step*speed > fraction*model%contact%threshold) then
@@ -176,6 +176,14 @@ contains
     end if
     report%step = min(report%step, scene%time%end_time)
   end subroutine choose_step
+
+  !> What the winches can add to a bullet's speed: theirs, and no more than the work of two sides at
+  !> the stall tension on the way to the middle, T_w side = m v^2/2 [m/s].
+  pure real(wp) function closing_speed(model, bullet_mass) result(speed)
+    type(model_t), intent(in) :: model
+    real(wp), intent(in) :: bullet_mass  !! [kg]
+    speed = min(model%closing%winch_speed, sqrt(2.0_wp*model%closing%max_tension*model%net%side_length/bullet_mass))
+  end function closing_speed
 
   !> Does the net start inside the target? Contact pushes such nodes out, at once and a long
   !> way: a scene that nobody means.
