@@ -59,10 +59,10 @@ void castnet_use_large_pages(void) {
   (void)mallopt(M_MMAP_THRESHOLD, 4 << 20);
   (void)mallopt(M_TRIM_THRESHOLD, 16 << 21);
   void *first = __libc_malloc(probe);
+  uintptr_t begin = (uintptr_t)first, end = (uintptr_t)sbrk(0);
   free(first);
   (void)mallopt(M_TOP_PAD, 1 << 21);
-  uintptr_t begin = (uintptr_t)first, end = (uintptr_t)sbrk(0);
-  if (first == NULL || end < begin + probe || end - begin > 16 * large) return; /* not of the growing heap */
+  if (begin == 0 || end < begin + probe || end - begin > 16 * large) return; /* not of the growing heap */
   uintptr_t page = (begin + large - 1) & ~(large - 1);
   end &= ~(large - 1);
   if (page >= end) return;
