@@ -32,6 +32,7 @@ contains
     call test_case('thread_flow: momentum is kept, winch work is what the nodes got, led supports pay theirs', books)
     call test_case('thread_flow: a slack thread leaves the step as it is', slack)
     call test_case('thread_flow: an open net closes as with rk4 at seven times its step, and gains no energy', closing_net)
+    call test_case('thread_flow: a run that goes on from a copy of its state is the same to the bit, with eighteen parts', resumed)
     call test_case('thread_flow: the automatic step of the closing rocket is the net''s', automatic_step)
   end subroutine run_verify_thread_flow
 
@@ -385,6 +386,31 @@ contains
     call expect_close(length(2), length(1), 'side', rtol=2.0e-2_wp)
     call expect_close(done(2), done(1), 'winch work', rtol=2.0e-2_wp)
   end subroutine closing_net
+
+  subroutine resumed()
+    type(scene_t) :: scene
+    type(model_t) :: model
+    type(state_t) :: whole, half
+    type(work_t) :: work, fresh
+    type(step_report_t) :: report
+    type(error_t), allocatable :: error
+    type(file_net_t), allocatable :: no_file
+    scene = rocket_scene()
+    scene%time%step = 1.5e-3_wp
+    scene%net%stowed_scale = 0.95_wp
+    scene%closing%trigger = 'time'
+    call set_up(scene, 1, no_file, model, whole, work, report, error)
+    call run_steps(70, model, whole, work)
+    half = whole
+    call new_work(fresh, model, 1)
+    call run_steps(70, model, whole, work)
+    call run_steps(70, model, half, fresh)
+    call expect(abs(whole%ledger%winch_work) > 1.0e-2_wp, 'the winches work')
+    call expect(all(whole%node_position == half%node_position), 'positions')
+    call expect(all(whole%node_velocity == half%node_velocity), 'velocities')
+    call expect(all(whole%closing%rest_length == half%closing%rest_length), 'ratchet')
+    call expect(whole%ledger%winch_work == half%ledger%winch_work, 'winch work')
+  end subroutine resumed
 
   real(wp) function energy(model, state)
     type(model_t), intent(in) :: model
