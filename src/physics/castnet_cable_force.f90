@@ -10,7 +10,8 @@
 !> reaches and a few chunks more: they never leave the second cache, whatever the net's size.
 !>
 !> The loops are free of branches (`merge`, `max`), so that the compiler turns each of
-!> them into full-width vector code under the release flags.
+!> them into full-width vector code under the release flags. `simdlen(8)`: for processors that it
+!> knows by name gfortran takes vectors of half the width, a fifth slower here.
 module castnet_cable_force
   use castnet_kinds, only: wp
   use castnet_cable_plan, only: cable_plan_t, chunk_size
@@ -267,6 +268,7 @@ contains
     real(wp) :: dx, dy, dz, pull
     integer :: k
 
+    !$omp simd simdlen(8) private(dx, dy, dz, pull)
     do k = 1, m
       dx = bx(k) - ax(k)
       dy = by(k) - ay(k)
@@ -321,6 +323,7 @@ contains
     real(wp) :: dx, dy, dz, pull
     integer :: k
 
+    !$omp simd simdlen(8) private(dx, dy, dz, pull)
     do k = 1, m
       dx = x(b(k), 1) - ax(k)
       dy = x(b(k), 2) - ay(k)

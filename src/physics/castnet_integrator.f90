@@ -537,6 +537,7 @@ contains
     real(wp), intent(in) :: h, away1(m), back1(m), away2(m), back2(m), rest(m), w(m), v(m), x0(m), v0(m)
     real(wp), intent(out) :: x_out(m), v_out(m)
     integer :: k
+    !$omp simd simdlen(8)
     do k = 1, m
       x_out(k) = x0(k) + h*v(k)
       v_out(k) = v0(k) + h*(((away1(k) - back1(k)) + (away2(k) - back2(k)) + rest(k))*w(k))
@@ -554,6 +555,7 @@ contains
     real(wp), parameter :: third = 1.0_wp/3.0_wp
     real(wp) :: a, v1
     integer :: k
+    !$omp simd simdlen(8) private(a, v1)
     do k = 1, m
       a = ((away1(k) - back1(k)) + (away2(k) - back2(k)) + rest(k))*w(k)
       v1 = v0(k)
@@ -571,6 +573,7 @@ contains
     real(wp) :: a, half
     integer :: k
     half = 0.5_wp*h
+    !$omp simd simdlen(8) private(a)
     do k = 1, m
       a = ((away1(k) - back1(k)) + (away2(k) - back2(k)) + rest(k))*w(k)
       v0(k) = v0(k) + h*a
