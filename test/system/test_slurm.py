@@ -51,7 +51,7 @@ SCENE = """
 &bullets mass = 0.03 speed = 1.8 /
 &target shape = 'box' dimensions = 0.1, 0.1, 0.3 mass = 3.5 position = 0.5, 0, 0 /
 &contact threshold = 2e-3 /
-&time end_time = 2.0 step = 5e-5 /
+&time end_time = 2.0 step = 1e-5 /
 &perturb node_position = 1e-5 /
 """
 STUDY = "&study scene = 'scene.nml' seed = 11 seeds = 30 /\n&vary key = 'target/angular_velocity(2)' values = 1.0, 2.0 /\n"
@@ -94,12 +94,12 @@ def install(*packages):
                    stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
-def wait_for(condition, seconds):
+def wait_for(condition, seconds, between=0.5):
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         if condition():
             return True
-        time.sleep(0.5)
+        time.sleep(between)
     return False
 
 
@@ -148,9 +148,10 @@ def main():
         r = ask("sbatch", "--parsable", "--array=1-3", "--mem-per-cpu=100M", os.path.join(ROOT, "tools", "cluster", "study_array.sbatch"), "s.nml")
         job = r.stdout.strip()
         check(r.returncode == 0 and job.isdigit(), "the array is accepted " + r.stderr[-200:])
-        # Stop the first task in its middle, as Slurm does before the time limit.
+        # Stop the first task in its middle, as Slurm does before the time limit: it takes two seconds, a
+        # sixth of them up to here.
         journal = os.path.join(folder, "s.h5.shard-1-of-3.cases")
-        wait_for(lambda: os.path.exists(journal) and os.path.getsize(journal) > 1500, 120)
+        wait_for(lambda: os.path.exists(journal) and os.path.getsize(journal) > 1500, 120, between=0.05)
         ask("scancel", "--signal=USR1", f"{job}_1")
         requeued = wait_for(lambda: "PENDING" in ask("squeue", "-h", "-r", "-j", f"{job}_1", "-o", "%T").stdout, 60)
         check(requeued, "a task that is told to stop puts itself back into the queue")
