@@ -30,7 +30,7 @@ CABLES = {"contact/detect": "'cables'"}
 # name: scene, settings of both, step of rk4, runs of rk4, runs of midpoint
 COMPARISONS = {
     "rocket": ("rocket_x_0.4", ROCKET, "5e-5", 256, 512),
-    "cubesat": ("cubesat", CUBESAT, "1e-5", 256, 512),
+    "cubesat": ("cubesat", CUBESAT, "1e-5", 768, 2048),
     "rocket_soft": ("rocket_x_0.4", ROCKET | ROUGH | PLASTIC, "2e-4", 96, 192),
     "rocket_closing_x": ("rocket_closing_x_1.1", CLOSING, "1e-4", 192, 512),
     "rocket_closing_z": ("rocket_closing_z_1.1", CLOSING, "1e-4", 192, 512),

@@ -1,4 +1,4 @@
-/* Arrays at the start of a cache line, and a heap in large pages.
+/* Arrays at the start of a cache line.
  *
  * gfortran's allocate takes what malloc gives, and glibc gives 16 mod 64 to any large
  * array: then every 512-bit load or store touches two cache lines, which costs the force
@@ -8,14 +8,7 @@
  *
  * What it could not give is noted: a program that then ends, however that looks, is out of
  * memory (castnet_process_guard.c). */
-#define _DEFAULT_SOURCE
-#include <stdint.h>
 #include <stdlib.h>
-#include <sys/mman.h>
-#include <unistd.h>
-#if defined(__GLIBC__)
-#include <malloc.h>
-#endif
 
 volatile size_t castnet_refused_bytes = 0; /* that were last asked for in vain; 0: never */
 
@@ -46,34 +39,5 @@ void *calloc(size_t n, size_t size) {
   if (room == NULL) castnet_refused_bytes = n * size;
   return room;
 }
-
-/* Have the heap grow in large pages, where the system gives them to who asks. A run touches a
- * thousand pages of 4 KiB; the system takes 1.6 us for each at its first touch (on a virtual
- * machine), 100 us for one of 2 MiB. What lies before the first large page is set aside and
- * never touched. Blocks from four megabytes on still come and go by themselves. */
-void castnet_use_large_pages(void) {
-  static void *aside; /* to be found by tools that look for lost blocks */
-  const uintptr_t large = (uintptr_t)1 << 21;
-  const size_t probe = (size_t)1 << 18;
-  if (aside != NULL || mallopt(M_TOP_PAD, 8 << 21) == 0) return;
-  (void)mallopt(M_MMAP_THRESHOLD, 4 << 20);
-  (void)mallopt(M_TRIM_THRESHOLD, 16 << 21);
-  void *first = __libc_malloc(probe);
-  uintptr_t begin = (uintptr_t)first, end = (uintptr_t)sbrk(0);
-  free(first);
-  (void)mallopt(M_TOP_PAD, 1 << 21);
-  if (begin == 0 || end < begin + probe || end - begin > 16 * large) return; /* not of the growing heap */
-  uintptr_t page = (begin + large - 1) & ~(large - 1);
-  end &= ~(large - 1);
-  if (page >= end) return;
-  if (page > begin + 64) aside = __libc_malloc(page - begin - 32);
-#ifdef MADV_HUGEPAGE
-  (void)madvise((void *)page, end - page, MADV_HUGEPAGE);
-#endif
-}
-
-#else
-
-void castnet_use_large_pages(void) {}
 
 #endif

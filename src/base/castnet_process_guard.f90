@@ -5,7 +5,7 @@ module castnet_process_guard
   use, intrinsic :: iso_c_binding, only: c_int, c_char, c_int64_t
   implicit none
   private
-  public :: guard_process, guard_thread, use_large_pages, forget_refusal, end_process, print_line, print_error
+  public :: guard_process, guard_thread, forget_refusal, end_process, print_line, print_error
 
   interface
     !> To be called first: crashes and errors of the Fortran runtime end in one sentence.
@@ -16,11 +16,6 @@ module castnet_process_guard
     !> nothing the second time.
     subroutine guard_thread() bind(c, name='castnet_guard_thread')
     end subroutine guard_thread
-
-    !> To be called by commands that need megabytes, before they do: the heap grows in large
-    !> pages, which take less time to get (castnet_aligned_malloc.c).
-    subroutine use_large_pages() bind(c, name='castnet_use_large_pages')
-    end subroutine use_large_pages
 
     !> To be called where memory was refused and that was told to the user: if the process ends
     !> in another way later, that was not the reason.

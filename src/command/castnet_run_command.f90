@@ -3,7 +3,6 @@ module castnet_run_command
   use castnet_command_line, only: options_t
   use castnet_error, only: error_t, fail, exit_input, exit_file
   use castnet_posix, only: same_file
-  use castnet_process_guard, only: use_large_pages
   use castnet_record, only: summary_t
   use castnet_log, only: log_t, new_log
   use castnet_run_report, only: report_result, report_ledger, report_timings
@@ -33,7 +32,6 @@ contains
     type(run_ledger_t) :: ledger
     type(log_t) :: log
     character(len=:), allocatable :: warnings
-    call use_large_pages()
     call read_scene(options%files(1)%chars, options%overrides, scene, warnings, error)
     if (allocated(error)) return
     call warn_lines(warnings)
