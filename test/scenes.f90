@@ -14,7 +14,7 @@ module scenes
   use testing, only: expect
   implicit none
   private
-  public :: shot, cubesat_shot, parabolic_shot, rocket_shot, build, add_spinning_body
+  public :: shot, cubesat_shot, parabolic_shot, rocket_shot, closing_rocket, build, add_spinning_body
   public :: net_of, chain, two_masses, ready, fly, mechanical_energy, state_hash, random_numbers, permutation, words
 
 contains
@@ -188,6 +188,26 @@ contains
     end do
     call settle(model, state, work)
   end subroutine fly
+
+  !> The paper's rocket net with the winches of physics.md section 5.
+  function closing_rocket(method) result(scene)
+    character(len=*), intent(in) :: method
+    type(scene_t) :: scene
+    allocate (scene%net, scene%bullets, scene%closing)
+    scene%time%method = method
+    scene%net%squares = 20
+    scene%net%mesh_length = 1.5_wp
+    scene%net%cable_diameter = 1.0e-3_wp
+    scene%net%edge_cable_diameter = 1.0e-3_wp
+    scene%bullets%mass = 1.0_wp
+    scene%bullets%speed = 10.0_wp
+    scene%bullets%corner_cable_length = 1.5_wp*sqrt(2.0_wp)
+    scene%closing%winch_speed = 20.0_wp
+    scene%closing%max_tension = 100.0_wp
+    scene%closing%locked_length = 0.5_wp
+    scene%time%end_time = 10.0_wp
+    scene%output%verdict_times = [10.0_wp]
+  end function closing_rocket
 
   !> Kinetic and elastic energy of net and target [J].
   real(wp) function mechanical_energy(model, state) result(energy)

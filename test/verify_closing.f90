@@ -15,6 +15,7 @@ module verify_closing
   use castnet_setup, only: set_up, step_report_t
   use castnet_state, only: state_t, closing_state_t
   use castnet_stepper, only: work_t, new_work, advance
+  use scenes, only: closing_rocket, fly
   use testing, only: test_case, expect, expect_close, expect_equal, note
   implicit none
   private
@@ -77,18 +78,6 @@ contains
     call new_work(work, model, 1)
   end subroutine two_bullets
 
-  subroutine run_steps(n, model, state, work)
-    integer, intent(in) :: n
-    type(model_t), intent(in) :: model
-    type(state_t), intent(inout) :: state
-    type(work_t), intent(inout) :: work
-    type(error_t), allocatable :: error
-    integer :: i
-    do i = 1, n
-      call advance(model, state, work, error)
-    end do
-  end subroutine run_steps
-
   !> T = T_w throughout: x = x0 + T t^2/(2 m), and the winch does T (L0 - L).
   subroutine constant_tension()
     real(wp), parameter :: pull = 5.0_wp, gap = 10.0_wp, t = 1.5_wp
@@ -105,7 +94,7 @@ contains
         call midpoint_begin(state)
         call new_work(work, model, 1)
       end if
-      call run_steps(150, model, state, work)
+      call fly(model, state, work, 150)
       call expect_close(state%node_position(1, 1), 0.5_wp*pull/mass(1)*t**2, 'first bullet', rtol=1.0e-12_wp)
       call expect_close(state%node_position(2, 1), gap - 0.5_wp*pull/mass(2)*t**2, 'second bullet', rtol=1.0e-12_wp)
       call expect_close(state%ledger%winch_work, 0.5_wp*pull**2*t**2*(1.0_wp/mass(1) + 1.0_wp/mass(2)), 'winch work', &
@@ -127,7 +116,7 @@ contains
       n = 20*2**(k - 1)
       t = 0.9_wp*0.5_wp*pi/w
       call two_bullets(gap, 0.0_wp, rest, t/n, model, state, work)
-      call run_steps(n, model, state, work)
+      call fly(model, state, work, n)
       seen = state%node_position(2, 1) - state%node_position(1, 1) - rest
       error(k) = abs(seen - (gap - rest)*cos(w*t))
       call expect_close(state%ledger%winch_work, 0.5_wp*30.0_wp*((gap - rest)**2 - seen**2), 'winch work', rtol=3.0e-6_wp)
@@ -137,10 +126,10 @@ contains
     ! Past the quarter period the bullets coast: nothing pushes them apart.
     call two_bullets(gap, 0.0_wp, rest, 1.0e-4_wp, model, state, work)
     n = ceiling(0.5_wp*pi/w/1.0e-4_wp) + 1
-    call run_steps(n, model, state, work)
+    call fly(model, state, work, n)
     seen = state%node_velocity(2, 1) - state%node_velocity(1, 1)
     call expect_close(seen, -w*(gap - rest), 'speed at the slack end', rtol=1.0e-6_wp)
-    call run_steps(2000, model, state, work)
+    call fly(model, state, work, 2000)
     call expect_close(state%node_velocity(2, 1) - state%node_velocity(1, 1), seen, 'coasting', rtol=1.0e-14_wp)
     call expect_close(state%closing%rest_length(1), state%node_position(2, 1) - state%node_position(1, 1), &
                       'the ratchet takes up the slack', rtol=1.0e-12_wp)
@@ -162,7 +151,7 @@ contains
       n = 16*2**(k - 1)
       call two_bullets(gap, 0.0_wp, rest, t/n, model, state, work)
       model%closing%damping = 2.0_wp*z*sqrt(30.0_wp*reduced)
-      call run_steps(n, model, state, work)
+      call fly(model, state, work, n)
       call expect(tension_of(model, state, 1) > 0.0_wp, &
                   'still taut')
       seen = state%node_position(2, 1) - state%node_position(1, 1) - rest
@@ -186,7 +175,7 @@ contains
       n = 400*2**(k - 1)
       call two_bullets(gap, 0.0_wp, gap, t/n, model, state, work)
       model%closing%winch_speed = speed
-      call run_steps(n, model, state, work)
+      call fly(model, state, work, n)
       error(k) = abs(state%node_position(2, 1) - state%node_position(1, 1) &
                      - (gap - speed*t + speed/w*sin(w*t)))
     end do
@@ -487,7 +476,7 @@ contains
         scene%time%allow_unstable = .true.
         call build(scene, model, state, work)
         start = balance(model, state)
-        call run_steps(n, model, state, work)
+        call fly(model, state, work, n)
         energy = start + state%ledger%winch_work
         off(k) = abs(balance(model, state) - start)
       end do
@@ -514,7 +503,7 @@ contains
       scene%time%step = 2.0e-3_wp/n
       call build(scene, model, state, work)
       start = balance(model, state)
-      call run_steps(n, model, state, work)
+      call fly(model, state, work, n)
       off(k) = abs(balance(model, state) + state%ledger%dissipated - start)
     end do
     call expect(state%ledger%dissipated > 0.0_wp, 'cables dissipate')
@@ -535,7 +524,7 @@ contains
     call build(scene, model, state, work)
     do n = 1, 7
       call expect(.not. state%closing%pulling, 'before the delay nothing pulls')
-      call run_steps(1, model, state, work)
+      call fly(model, state, work, 1)
     end do
     call expect(state%closing%pulling, 'pulls at the first step at the due time')
     call expect_close(state%closing%start_time, 7.0e-4_wp, 'start', rtol=1.0e-12_wp)
@@ -544,12 +533,12 @@ contains
 
     scene%closing%trigger = 'contact'
     call build(scene, model, state, work)
-    call run_steps(20, model, state, work)
+    call fly(model, state, work, 20)
     call expect(.not. state%closing%triggered, 'no contact, no trigger')
     state%first_contact = 2.0e-3_wp
-    call run_steps(6, model, state, work)
+    call fly(model, state, work, 6)
     call expect(.not. state%closing%pulling, 'delay counts from first contact')
-    call run_steps(1, model, state, work)
+    call fly(model, state, work, 1)
     call expect(state%closing%pulling, 'pulls after the delay')
 
     scene%closing%trigger = 'passed_target'
@@ -560,31 +549,12 @@ contains
     scene%target%mass = 1.0_wp
     scene%target%position = [1.0_wp, 0.0_wp, 0.0_wp]
     call build(scene, model, state, work)
-    call run_steps(3, model, state, work)
+    call fly(model, state, work, 3)
     call expect(.not. state%closing%triggered, 'target ahead')
     state%node_position(:model%net%n_node, 1) = state%node_position(:model%net%n_node, 1) + 1.0_wp
-    call run_steps(1, model, state, work)
+    call fly(model, state, work, 1)
     call expect(state%closing%pulling, 'target passed')
   end subroutine triggers
-
-  !> The paper's rocket net with the winches of physics.md section 5.
-  function rocket_scene() result(scene)
-    type(scene_t) :: scene
-    allocate (scene%net, scene%bullets, scene%closing)
-    scene%time%method = 'rk4'
-    scene%net%squares = 20
-    scene%net%mesh_length = 1.5_wp
-    scene%net%cable_diameter = 1.0e-3_wp
-    scene%net%edge_cable_diameter = 1.0e-3_wp
-    scene%bullets%mass = 1.0_wp
-    scene%bullets%speed = 10.0_wp
-    scene%bullets%corner_cable_length = 1.5_wp*sqrt(2.0_wp)
-    scene%closing%winch_speed = 20.0_wp
-    scene%closing%max_tension = 100.0_wp
-    scene%closing%locked_length = 0.5_wp
-    scene%time%end_time = 10.0_wp
-    scene%output%verdict_times = [10.0_wp]
-  end function rocket_scene
 
   !> By hand, |dL/dx|^2 = 1/2 at a ring: a side has 19 inner perimeter nodes of three half cables, two corners
   !> of two halves, two bullets; corners and bullets belong to two sides.
@@ -596,7 +566,7 @@ contains
     type(step_report_t) :: report, free
     type(error_t), allocatable :: error
     real(wp) :: cable, weight, damping
-    scene = rocket_scene()
+    scene = closing_rocket('rk4')
     call build(scene, model, state, work, report)
     deallocate (scene%closing)
     call build(scene, model, state, work, free)
@@ -612,7 +582,7 @@ contains
     call expect(report%step <= 0.7_wp*report%stable_limit*(1.0_wp + 1.0e-12_wp), 'the chosen step is below it')
     call expect(free%stable_limit > 4.5e-3_wp, 'without the thread the net allows 4.7 ms')
 
-    scene = rocket_scene()
+    scene = closing_rocket('rk4')
     scene%time%step = 1.0e-3_wp
     call build(scene, model, state, work, report, error)
     call expect(allocated(error), '1 ms is refused')
@@ -669,11 +639,11 @@ contains
       scene%time%step = 1.0e-4_wp
       scene%time%method = method(m)
       call build(scene, model, whole, work)
-      call run_steps(900, model, whole, work)
+      call fly(model, whole, work, 900)
       half = whole
       call new_work(fresh, model, 1)
-      call run_steps(900, model, whole, work)
-      call run_steps(900, model, half, fresh)
+      call fly(model, whole, work, 900)
+      call fly(model, half, fresh, 900)
       call expect(whole%closing%pulling .and. whole%ledger%winch_work > 0.0_wp, 'the winches work')
       call expect(all(whole%node_position == half%node_position), 'positions')
       call expect(all(whole%node_velocity == half%node_velocity), 'velocities')
@@ -693,7 +663,7 @@ contains
     call expect(.not. allocated(model%closing), 'no model')
     call expect(.not. allocated(state%closing), 'no latches')
     call expect(.not. allocated(work%flow%cables%extra), 'no scratch')
-    call run_steps(5, model, state, work)
+    call fly(model, state, work, 5)
     call expect_close(state%ledger%winch_work, 0.0_wp, 'no work', atol=0.0_wp)
   end subroutine absent
 

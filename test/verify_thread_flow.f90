@@ -13,7 +13,9 @@ module verify_thread_flow
   use castnet_scene, only: scene_t
   use castnet_setup, only: set_up, step_report_t
   use castnet_state, only: state_t
-  use castnet_stepper, only: work_t, new_work, advance, settle
+  use castnet_stepper, only: work_t, new_work, advance
+  use castnet_vector, only: cross
+  use scenes, only: closing_rocket, fly
   use testing, only: test_case, expect, expect_close, expect_equal, note
   implicit none
   private
@@ -86,18 +88,6 @@ contains
     call new_work(work, model, 1)
   end subroutine two_bullets
 
-  subroutine run_steps(n, model, state, work)
-    integer, intent(in) :: n
-    type(model_t), intent(in) :: model
-    type(state_t), intent(inout) :: state
-    type(work_t), intent(inout) :: work
-    type(error_t), allocatable :: error
-    integer :: i
-    do i = 1, n
-      call advance(model, state, work, error)
-    end do
-  end subroutine run_steps
-
   real(wp) function kinetic(model, state)
     type(model_t), intent(in) :: model
     type(state_t), intent(in) :: state
@@ -127,7 +117,7 @@ contains
       do k = 1, 3
         n = 10*2**(k - 1)
         call two_bullets(4.0_wp, 0.0_wp, 3.0_wp, 2.0_wp*z*sqrt(spring*mu), t/n, model, state, work)
-        call run_steps(n, model, state, work)
+        call fly(model, state, work, n)
         error(k) = abs(state%node_position(2, 1) - state%node_position(1, 1) - 3.0_wp - expected)
         call expect_close(state%ledger%winch_work, kinetic(model, state), 'the work is the kinetic energy', rtol=1.0e-13_wp)
       end do
@@ -155,13 +145,13 @@ contains
     model%closing%damping = spring*lag
     model%gravity = [pull/light, 0.0_wp, 0.0_wp]
     call new_work(work, model, 1)
-    call run_steps(50, model, state, work)
+    call fly(model, state, work, 50)
     call expect_close(state%node_position(2, 1) - 3.0_wp, pull/spring*(1.0_wp - exp(-50.0_wp*step/lag)), 'creeps', rtol=1.0e-3_wp)
 
     call two_bullets(4.0_wp, 7.0_wp, 3.999_wp, 1.0e7_wp, step, model, state, work)
     before = kinetic(model, state)
     do i = 1, 20
-      call run_steps(1, model, state, work)
+      call fly(model, state, work, 1)
       now = kinetic(model, state)
       call expect(now <= before, 'loses energy')
       call expect(state%node_velocity(2, 1) - state%node_velocity(1, 1) > -1.0e-4_wp, 'does not turn round')
@@ -189,7 +179,7 @@ contains
       call new_work(work, model, 1)
       before = kinetic(model, state)
       do i = 1, 100
-        call run_steps(1, model, state, work)
+        call fly(model, state, work, 1)
         now = kinetic(model, state)
         call expect(now <= before*(1.0_wp + 1.0e-14_wp), 'the energy never rises')
         before = now
@@ -226,7 +216,7 @@ contains
       call add_thread_force(model%closing, state%closing, model%net%n_pad, state%node_position, state%node_velocity, force, &
                             1.0_wp, impulse)
       call new_work(work, model, 1)
-      call run_steps(1, model, state, work)
+      call fly(model, state, work, 1)
       expected = state%node_velocity(:n, :) - v
       do i = 1, n
         call expect_close(mass(i)*expected(i, :)/h, force(i, :), 'force on a node', rtol=1.0e-4_wp, atol=1.0e-5_wp)
@@ -252,13 +242,13 @@ contains
     model%closing%damping = 5.0_wp
     model%method = method_rk4
     call new_work(work, model, 1)
-    call run_steps(nint(t/model%step), model, state, work)
+    call fly(model, state, work, nint(t/model%step))
     fine = state%node_position(:3, :)
     do k = 1, 2
       call free_nodes([1.0_wp, 1.0e-3_wp, 1.0_wp], x, v, [1, 4], [1, 2, 3], 0.5_wp, 5.0e-3_wp/2**(k - 1), model, state)
       model%closing%damping = 5.0_wp
       call new_work(work, model, 1)
-      call run_steps(nint(t/model%step), model, state, work)
+      call fly(model, state, work, nint(t/model%step))
       off(k) = max(norm2(state%node_position(1, :) - fine(1, :)), norm2(state%node_position(3, :) - fine(3, :)))
     end do
     write (words, '(a,2es10.2,a)') 'bullets off by', off, ' m at 5 and 2.5 ms'
@@ -289,7 +279,7 @@ contains
       call new_work(work, model, 1)
       before = kinetic(model, state)
       momentum = matmul(mass, v)
-      call run_steps(300, model, state, work)
+      call fly(model, state, work, 300)
       call expect(state%ledger%winch_work > 1.0_wp, 'the winch works')
       call expect_close(kinetic(model, state) - before, state%ledger%winch_work + state%ledger%external_work, &
                         'the nodes got what was done on them', rtol=1.0e-12_wp)
@@ -309,12 +299,6 @@ contains
     end do
   end subroutine books
 
-  pure function cross(a, b) result(c)
-    real(wp), intent(in) :: a(3), b(3)
-    real(wp) :: c(3)
-    c = [a(2)*b(3) - a(3)*b(2), a(3)*b(1) - a(1)*b(3), a(1)*b(2) - a(2)*b(1)]
-  end function cross
-
   !> With L < L_r nothing but the cables acts: the parts lead where one step leads.
   subroutine slack()
     type(scene_t) :: scene
@@ -324,7 +308,7 @@ contains
     type(step_report_t) :: report
     type(error_t), allocatable :: error
     type(file_net_t), allocatable :: no_file
-    scene = rocket_scene()
+    scene = closing_rocket('midpoint')
     scene%time%step = 1.0e-3_wp
     call set_up(scene, 1, no_file, model, state, work, report, error)
     deallocate (scene%closing)
@@ -334,9 +318,8 @@ contains
     state%closing%rest_length = 1.0e6_wp
     model%closing%winch_speed = 0.0_wp
     state%closing%locked = .true.
-    call run_steps(300, model, state, work)
-    call run_steps(300, bare, other, plain)
-    call settle(bare, other, plain)
+    call fly(model, state, work, 300)
+    call fly(bare, other, plain, 300)
     call expect(maxval(abs(other%node_velocity)) > 5.0_wp, 'the net flies')
     call expect_close(maxval(abs(state%node_position - other%node_position)), 0.0_wp, 'positions', atol=1.0e-9_wp)
     call expect_close(state%ledger%winch_work, 0.0_wp, 'no work', atol=0.0_wp)
@@ -358,7 +341,7 @@ contains
     character(len=80) :: words
     integer :: m, i
     do m = 1, 2
-      scene = rocket_scene()
+      scene = closing_rocket('midpoint')
       scene%time%method = method(m)
       scene%time%step = step(m)
       scene%net%stowed_scale = 0.95_wp
@@ -395,16 +378,16 @@ contains
     type(step_report_t) :: report
     type(error_t), allocatable :: error
     type(file_net_t), allocatable :: no_file
-    scene = rocket_scene()
+    scene = closing_rocket('midpoint')
     scene%time%step = 1.5e-3_wp
     scene%net%stowed_scale = 0.95_wp
     scene%closing%trigger = 'time'
     call set_up(scene, 1, no_file, model, whole, work, report, error)
-    call run_steps(70, model, whole, work)
+    call fly(model, whole, work, 70)
     half = whole
     call new_work(fresh, model, 1)
-    call run_steps(70, model, whole, work)
-    call run_steps(70, model, half, fresh)
+    call fly(model, whole, work, 70)
+    call fly(model, half, fresh, 70)
     call expect(abs(whole%ledger%winch_work) > 1.0e-2_wp, 'the winches work')
     call expect(all(whole%node_position == half%node_position), 'positions')
     call expect(all(whole%node_velocity == half%node_velocity), 'velocities')
@@ -418,25 +401,6 @@ contains
     energy = net_kinetic_energy(model%net, state%node_velocity) + elastic_energy(model%net, state%node_position)
   end function energy
 
-  !> The paper's rocket net with the winches of input/rocket_closing_x_1.1.nml.
-  function rocket_scene() result(scene)
-    type(scene_t) :: scene
-    allocate (scene%net, scene%bullets, scene%closing)
-    scene%time%method = 'midpoint'
-    scene%net%squares = 20
-    scene%net%mesh_length = 1.5_wp
-    scene%net%cable_diameter = 1.0e-3_wp
-    scene%net%edge_cable_diameter = 1.0e-3_wp
-    scene%bullets%mass = 1.0_wp
-    scene%bullets%speed = 10.0_wp
-    scene%bullets%corner_cable_length = 1.5_wp*sqrt(2.0_wp)
-    scene%closing%winch_speed = 20.0_wp
-    scene%closing%max_tension = 100.0_wp
-    scene%closing%locked_length = 0.5_wp
-    scene%time%end_time = 10.0_wp
-    scene%output%verdict_times = [10.0_wp]
-  end function rocket_scene
-
   !> The threads add their stiffness to the net's squared frequency and no damping: the limit
   !> falls by no more than the frequency rises, not thirtyfold. What is above it is refused.
   subroutine automatic_step()
@@ -448,7 +412,7 @@ contains
     real(wp) :: ratio
     type(error_t), allocatable :: error
     type(file_net_t), allocatable :: no_file
-    scene = rocket_scene()
+    scene = closing_rocket('midpoint')
     call set_up(scene, 1, no_file, model, state, work, report, error)
     deallocate (scene%closing)
     call set_up(scene, 1, no_file, model, state, work, free, error)
@@ -459,7 +423,7 @@ contains
     call expect(report%stable_limit < free%stable_limit .and. report%stable_limit > ratio*free%stable_limit, 'the limit')
     call expect(report%step > 1.5e-3_wp, 'the chosen step')
     ! With contact, one threshold at the speed of bullets and winches together.
-    scene = rocket_scene()
+    scene = closing_rocket('midpoint')
     allocate (scene%target, scene%contact)
     scene%target%shape = 'sphere'
     scene%target%dimensions(1) = 2.0_wp
@@ -473,7 +437,7 @@ contains
     scene%closing%winch_speed = 1.0e4_wp
     call set_up(scene, 1, no_file, model, state, work, free, error)
     call expect_close(free%step, 2.0e-2_wp/(10.0_wp + sqrt(6000.0_wp)), 'with fast winches', rtol=1.0e-14_wp)
-    scene = rocket_scene()
+    scene = closing_rocket('midpoint')
     scene%time%step = 1.05_wp*report%stable_limit
     call set_up(scene, 1, no_file, model, state, work, report, error)
     call expect(allocated(error), 'above the limit: refused')

@@ -46,11 +46,6 @@ module castnet_hdf5_series
     module procedure append_doubles, append_longs
   end interface append_frames
 
-  !> The same, but into memory, until `write_held`.
-  interface hold_frames
-    module procedure hold_doubles
-  end interface hold_frames
-
   !> Room in memory for the values of the next frames, for the caller to write them there.
   interface next_frames
     module procedure next_doubles, next_singles
@@ -58,7 +53,7 @@ module castnet_hdf5_series
 
 contains
 
-  !> Create an empty series. Values that are never written read as NaN (reals) or 0.
+  !> Create an empty series. NaN (reals) or 0 is told as its fill value.
   subroutine create_series(file, parent, name, kind, frame, units, series, error, together, expected)
     type(hdf5_file_t), intent(inout) :: file
     type(location_t), intent(in) :: parent
@@ -288,8 +283,8 @@ contains
     call h5sclose_f(space, ignored)
   end subroutine append
 
-  !> A copy of as many frames as the values fill.
-  subroutine hold_doubles(file, series, values, error)
+  !> Keep a copy of as many frames as the values fill in memory, until `write_held`.
+  subroutine hold_frames(file, series, values, error)
     type(hdf5_file_t), intent(inout) :: file
     type(series_t), intent(inout), target :: series
     real(wp), intent(in), contiguous :: values(:)
@@ -297,7 +292,7 @@ contains
     real(wp), pointer, contiguous :: place(:)
     call next_doubles(file, series, size(values), place, error)
     if (associated(place)) place = values
-  end subroutine hold_doubles
+  end subroutine hold_frames
 
   !> Associated as long as the file is not broken; to be filled before anything else is held.
   subroutine next_doubles(file, series, n_value, values, error)

@@ -7,6 +7,7 @@
 !> where a chunk of the sweep ends and where many nodes in a row have none; what is too
 !> short then stays single.
 module castnet_cable_layers
+  use castnet_graph, only: add_up
   implicit none
   private
   public :: layers_t, arrange_layers, chunk_size
@@ -203,10 +204,7 @@ contains
         start(ends(e, k) + 1) = start(ends(e, k) + 1) + 1
       end do
     end do
-    start(1) = 1
-    do k = 1, n_node
-      start(k + 1) = start(k + 1) + start(k)
-    end do
+    call add_up(start)
     next = start(:n_node)
     do k = 1, size(ends, 2)
       do e = 1, 2
@@ -243,10 +241,7 @@ contains
       do i = 1, size(key)
         start(key(i) + 1) = start(key(i) + 1) + 1
       end do
-      start(1) = 1
-      do i = 1, n_node
-        start(i + 1) = start(i + 1) + start(i)
-      end do
+      call add_up(start)
       next = start(:n_node)
     end subroutine count_up
 

@@ -14,6 +14,7 @@
 module castnet_cable_plan
   use castnet_kinds, only: wp
   use castnet_cable_layers, only: layers_t, arrange_layers, chunk_size
+  use castnet_graph, only: add_up
   implicit none
   private
   public :: cable_plan_t, build_cable_plan, sweep_cost, chunk_size
@@ -309,8 +310,8 @@ contains
   subroutine build_loose_incidence(plan, n_node)
     type(cable_plan_t), intent(inout) :: plan
     integer, intent(in) :: n_node
-    integer :: arrived(n_node), left(n_node), k, n_rank, n_chunk, chunk, i, rank, most
-    integer, allocatable :: start(:), of_node(:)
+    integer :: arrived(n_node), left(n_node), start(n_node + 1), fill, k, n_rank, n_chunk, chunk, i, rank, most
+    integer, allocatable :: of_node(:)
 
     n_chunk = (n_node + chunk_size - 1)/chunk_size
     n_rank = 0
@@ -324,15 +325,27 @@ contains
       end do
     end if
     allocate (plan%arriving(n_node, n_rank), source=0)
-    left = 0
-    call each_end(count_end)
-    allocate (start(n_node + 1), of_node(sum(left)))
-    start(1) = 1
-    do i = 1, n_node
-      start(i + 1) = start(i) + left(i)
+    start = 0
+    do fill = 0, 1
+      left = 0
+      arrived = 0
+      do k = 1, plan%n_loose
+        associate (a => plan%loose_a(k), b => plan%loose_b(k))
+          if (k > plan%n_layered) call enter(a, k)
+          if (a == b) cycle
+          arrived(b) = arrived(b) + 1
+          if (arrived(b) <= n_rank) then
+            plan%arriving(b, arrived(b)) = k
+          else
+            call enter(b, -k)
+          end if
+        end associate
+      end do
+      if (fill == 1) exit
+      start(2:) = left
+      call add_up(start)
+      allocate (of_node(start(n_node + 1) - 1))
     end do
-    left = 0
-    call each_end(note_end)
     allocate (plan%end_from(n_chunk + 1), plan%end_node(size(of_node)), plan%end_cable(size(of_node)))
     k = 0
     do chunk = 1, n_chunk
@@ -352,39 +365,12 @@ contains
 
   contains
 
-    !> Ends that no block adds up, in slot order; the first arrivals at a node are dealt with here.
-    subroutine each_end(take)
-      interface
-        subroutine take(node, entry)
-          integer, intent(in) :: node, entry
-        end subroutine take
-      end interface
-      integer :: k
-      arrived = 0
-      do k = 1, plan%n_loose
-        associate (a => plan%loose_a(k), b => plan%loose_b(k))
-          if (k > plan%n_layered) call take(a, k)
-          if (a == b) cycle
-          arrived(b) = arrived(b) + 1
-          if (arrived(b) <= n_rank) then
-            plan%arriving(b, arrived(b)) = k
-          else
-            call take(b, -k)
-          end if
-        end associate
-      end do
-    end subroutine each_end
-
-    subroutine count_end(node, entry)
+    !> An end that no block adds up: counted first, then noted.
+    subroutine enter(node, entry)
       integer, intent(in) :: node, entry
-      if (entry /= 0) left(node) = left(node) + 1
-    end subroutine count_end
-
-    subroutine note_end(node, entry)
-      integer, intent(in) :: node, entry
-      of_node(start(node) + left(node)) = entry
+      if (fill == 1) of_node(start(node) + left(node)) = entry
       left(node) = left(node) + 1
-    end subroutine note_end
+    end subroutine enter
 
   end subroutine build_loose_incidence
 

@@ -2,7 +2,7 @@
 module castnet_graph
   implicit none
   private
-  public :: graph_t, new_graph, breadth_first
+  public :: graph_t, new_graph, breadth_first, add_up
 
   !> Who is joined to whom: neighbours of node i are neighbour(start(i):start(i+1)-1).
   type :: graph_t
@@ -32,10 +32,7 @@ contains
         if (kept) graph%start(cable_nodes(e, c) + 1) = graph%start(cable_nodes(e, c) + 1) + 1
       end do
     end do
-    graph%start(1) = 1
-    do a = 1, n
-      graph%start(a + 1) = graph%start(a + 1) + graph%start(a)
-    end do
+    call add_up(graph%start)
     allocate (graph%neighbour(graph%start(n + 1) - 1))
     next = graph%start(:n)
     do c = 1, size(cable_nodes, 2)
@@ -47,6 +44,16 @@ contains
       end do
     end do
   end subroutine new_graph
+
+  !> From numbers of entries, one place late, to where each row begins.
+  pure subroutine add_up(start)
+    integer, intent(inout) :: start(:)
+    integer :: a
+    start(1) = 1
+    do a = 2, size(start)
+      start(a) = start(a) + start(a - 1)
+    end do
+  end subroutine add_up
 
   !> Breadth first from `root`, then from the first node not yet reached, and so on. A later part's
   !> levels follow those of the part before.
