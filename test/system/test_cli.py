@@ -4,6 +4,7 @@ bad input writes nothing.
     python3 test/system/test_cli.py PATH_TO_CASTNET
 """
 import os
+import struct
 import subprocess
 import sys
 import tempfile
@@ -145,8 +146,23 @@ def main():
         for case, (arguments, words) in BAD_USAGE.items():
             refuse(case, folder, arguments, [words])
         good(folder)
+    expect("the stack is not executable", not stack_is_executable())
     print(f"{passed} passed, {failed} failed")
     return failed > 0
+
+
+def stack_is_executable():
+    """By the program header PT_GNU_STACK (64-bit ELF). An internal procedure that is passed on makes it so,
+    and systems that allow no such stack refuse the program."""
+    text = castnet.read_bytes()
+    order = "<" if text[5] == 1 else ">"
+    start, = struct.unpack_from(order + "Q", text, 32)
+    size, number = struct.unpack_from(order + "HH", text, 54)
+    for i in range(number):
+        kind, flags = struct.unpack_from(order + "II", text, start + i*size)
+        if kind == 0x6474E551:
+            return bool(flags & 1)
+    return True
 
 
 def good(folder):
